@@ -1,0 +1,64 @@
+"""Installs handover_ros as an ament_python package."""
+
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "handover_ros"
+NODES = ["sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node"]
+
+
+def config_data_files():
+    """List config/ and launch/ for installation under share/handover_ros, folder by folder."""
+    folders = ["config", *(str(path) for path in Path("config").glob("*") if path.is_dir()), "launch"]
+    return [
+        (f"share/{PACKAGE}/{folder}", [name for name in sorted(glob(f"{folder}/*")) if Path(name).is_file()])
+        for folder in sorted(folders)
+    ]
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *config_data_files(),
+    ],
+    install_requires=[
+        "setuptools",
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "pin>=3.4,<5",
+        "example-robot-data>=4.3",
+        "mujoco>=3.3,<5",
+        "filterpy>=1.4.5",
+        "numba>=0.60",
+        "trimesh>=4.0",
+        "pycollada>=0.8",
+        "ezc3d>=1.5",
+        "pydantic>=2.6,<3",
+        "PyYAML>=6.0",
+        "matplotlib>=3.8",
+        "rich>=13.0",
+        "typer>=0.12",
+        "ruckig>=0.9",
+        "rosbags>=0.10",
+        "pillow>=10.0",
+    ],
+    extras_require={"test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8", "domain-coordinator"]},
+    zip_safe=True,
+    maintainer="The handover_ros maintainers",
+    maintainer_email="maintainers@handover-cell.org",
+    description="A live handover cell: a robot hands objects to a person so that it suits that person.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
+            f"handover = {PACKAGE}.cli:main",
+        ]
+    },
+)
