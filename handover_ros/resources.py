@@ -43,7 +43,9 @@ def config_names(kind: str) -> list[str]:
 
 
 def config_file(kind: str, name: str) -> Path:
-    """Return the YAML file of a named thing, e.g. ``config_file("objects", "mug")``; a path to a file is taken as it is.
+    """Return the YAML file of a named thing, e.g. ``config_file("objects", "mug")``.
+
+    A path to a YAML file instead of a name is taken as it is.
 
     Raises:
         UnknownNameError: There is no such file.

@@ -45,7 +45,8 @@ class ParameterSpec:
         for number in numbers:
             if isinstance(number, float) and not math.isfinite(number):
                 return f"parameter {self.name}: {number} is not finite"
-            if self.minimum is not None and number < self.minimum or self.maximum is not None and number > self.maximum:
+            below = self.minimum is not None and number < self.minimum
+            if below or (self.maximum is not None and number > self.maximum):
                 return f"parameter {self.name}: {number} is outside [{self.minimum}, {self.maximum}]"
         if self.choices and value not in self.choices:
             return f"parameter {self.name}: {value!r} is none of {', '.join(map(repr, self.choices))}"

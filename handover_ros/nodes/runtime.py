@@ -11,6 +11,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from handover_msgs.msg import Heartbeat
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
@@ -20,7 +21,6 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from handover_msgs.msg import Heartbeat
 from handover_ros.errors import HandoverError, StaleDataError
 from handover_ros.nodes.convert import wall_time
 from handover_ros.nodes.parameters import ParameterSpec, ParameterTable
@@ -205,10 +205,13 @@ async def answer(response: Any, work: Coroutine[Any, Any, None], node: Node) -> 
 
 
 def spin_until(executor: SingleThreadedExecutor, stop: threading.Event) -> None:
-    """Turn the executor until ``stop`` is set or the context is shut down."""
+    """Turn the executor until ``stop`` is set or the context is shut down.
+
+    No timeout is given, since rclpy makes a timer for each; the heartbeat wakes the executor often enough.
+    """
     try:
         while not stop.is_set():
-            executor.spin_once(timeout_sec=0.1)
+            executor.spin_once()
     except ExternalShutdownException:
         pass
 
