@@ -13,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Pose, Quaternion
+from handover_msgs.msg import HandoverPlan
+from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from handover_ros.cell.protocol import Plan, Stage
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray, pose_from_transform, transform_from_pose
 
@@ -147,3 +150,50 @@ def trajectory_arrays(message: JointTrajectory) -> tuple[tuple[str, ...], FloatA
     if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
         raise BadRequestError("joint trajectory: time_from_start must start at or after 0 and increase")
     return names, times, position_array, velocity_array
+
+
+def stage_from_message(name: str, trajectory: JointTrajectory, opening: float = float("nan")) -> Stage:
+    """Return a stage of robot motion; a trajectory without points is a stage without motion.
+
+    Raises:
+        BadRequestError: The trajectory is not valid.
+    """
+    if not trajectory.points:
+        return Stage(name, np.empty(0), np.empty((0, 0)), np.empty((0, 0)), opening)
+    _, times, positions, velocities = trajectory_arrays(trajectory)
+    return Stage(name, times, positions, velocities, opening)
+
+
+def plan_from_message(message: HandoverPlan) -> Plan:
+    """Return what the executive needs of a plan.
+
+    Raises:
+        BadRequestError: A trajectory is not valid.
+    """
+    stages = tuple(stage_from_message(stage.name, stage.trajectory, stage.opening) for stage in message.stages)
+    joint_names = next((tuple(s.trajectory.joint_names) for s in message.stages if s.trajectory.points), ())
+    held = not any(stage.name == "grasp" for stage in stages)
+    return Plan(message.arm, joint_names, stages, held)
+
+
+def image_message(picture: npt.NDArray[np.uint8], frame_id: str) -> Image:
+    """Return an RGB picture (height, width, 3) as an image message."""
+    height, width, _ = picture.shape
+    message = Image(height=height, width=width, encoding="rgb8", is_bigendian=0, step=3 * width)
+    message.header.frame_id = frame_id
+    message.data = array("B", np.ascontiguousarray(picture).tobytes())
+    return message
+
+
+def picture_from_image(message: Image) -> npt.NDArray[np.uint8]:
+    """Return an rgb8 image message as an array (height, width, 3).
+
+    Raises:
+        BadRequestError: Another encoding, or the size does not fit the data.
+    """
+    if message.encoding != "rgb8":
+        raise BadRequestError(f"image encoding {message.encoding!r}; only 'rgb8' is shown")
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    if data.size != message.height * message.width * 3:
+        raise BadRequestError(f"image of {message.width} x {message.height} carries {data.size} bytes")
+    return data.reshape(message.height, message.width, 3)

@@ -27,6 +27,8 @@ from handover_ros.nodes.parameters import ParameterSpec, ParameterTable
 
 HEARTBEAT_PERIOD = 0.2  # [s] wall time
 DIAGNOSTICS_PERIOD = 1.0  # [s] wall time, REP-107
+DISCOVERY_LIMIT = 3.0  # [s] of wall time a service may take to be discovered
+POLL_PERIOD = 0.1  # [s] of wall time between two looks
 EXIT_BAD_INPUT = 2
 EXIT_CRASHED = 1
 
@@ -114,6 +116,15 @@ class HandoverNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(array)
 
+    async def pause(self, seconds: float) -> None:
+        """Let a coroutine wait for ``seconds`` of wall time while the executor goes on."""
+        over = Future()
+        timer = self.create_timer(seconds, lambda: over.set_result(None), clock=self.steady_clock)
+        try:
+            await over
+        finally:
+            self.destroy_timer(timer)
+
     async def call(self, client: Client, request: Any, timeout: float) -> Any:
         """Await a service's answer inside a callback.
 
@@ -125,7 +136,11 @@ class HandoverNode(Node):
         Raises:
             StaleDataError: The service is not there or did not answer in time.
         """
-        if not client.service_is_ready():
+        for _ in range(round(DISCOVERY_LIMIT / POLL_PERIOD)):
+            if client.service_is_ready():
+                break
+            await self.pause(POLL_PERIOD)
+        else:
             raise StaleDataError(f"service {client.srv_name} is not there: is its node running?")
         future = client.call_async(request)
         timer = self.create_timer(timeout, future.cancel, clock=self.steady_clock)

@@ -1,0 +1,60 @@
+"""Liveness of the graph's nodes and freshness of live data, by the wall clock."""
+
+from __future__ import annotations
+
+from handover_ros.errors import BadRequestError
+
+LOST_AFTER = 1.5  # [s] of wall time without a heartbeat
+
+
+class LivenessMonitor:
+    """Knows which of the required nodes are alive.
+
+    Args:
+        required: Names of the nodes the cell cannot do without.
+        lost_after: [s] of steady wall time without a heartbeat after which a node counts as lost.
+    """
+
+    def __init__(self, required: tuple[str, ...], lost_after: float = LOST_AFTER) -> None:
+        if lost_after <= 0.0:
+            raise BadRequestError(f"lost_after must be positive, got {lost_after:g} s")
+        self.required = required
+        self.lost_after = lost_after
+        self._last: dict[str, float] = {}
+
+    def beat(self, node: str, now: float) -> None:
+        """Take a heartbeat of ``node`` at steady wall time ``now`` [s]."""
+        self._last[node] = now
+
+    def lost(self, now: float) -> tuple[str, ...]:
+        """Return the required nodes that beat once and then fell silent."""
+        return tuple(node for node in self.required if node in self._last and now - self._last[node] > self.lost_after)
+
+    def missing(self, now: float) -> tuple[str, ...]:
+        """Return the required nodes that are not alive now: never seen, or lost."""
+        return tuple(node for node in self.required if now - self._last.get(node, -1e9) > self.lost_after)
+
+
+class Freshness:
+    """Age of one stream of live data.
+
+    Args:
+        name: What a person calls it, with the node it comes from.
+        limit: [s] of wall time between samples that is still fresh.
+    """
+
+    def __init__(self, name: str, limit: float) -> None:
+        self.name = name
+        self.limit = limit
+        self._last: float | None = None
+
+    def sample(self, now: float) -> None:
+        """Take a sample at steady wall time ``now`` [s]."""
+        self._last = now
+
+    def problem(self, now: float) -> str:
+        """Return a sentence when the stream is stale or never began, otherwise an empty string."""
+        if self._last is None:
+            return f"{self.name}: nothing received yet"
+        age = now - self._last
+        return f"{self.name}: nothing received for {age:.1f} s" if age > self.limit else ""

@@ -1,0 +1,459 @@
+"""Runs one handover at a time: fetch, "Please wait", present, "Ready?", wait, release, retract."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from handover_msgs.action import ExecuteHandover
+from handover_msgs.msg import (
+    CellState,
+    GraspChoice,
+    GripperCommand,
+    GripperState,
+    HandoverPlan,
+    Heartbeat,
+    MarkerFrame,
+    MarkerSet,
+    ObjectStates,
+)
+from handover_msgs.srv import PlanHandover, PlanMotion
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Bool
+from trajectory_msgs.msg import JointTrajectory
+
+from handover_ros.cell.display import text_picture
+from handover_ros.cell.protocol import (
+    Command,
+    Follow,
+    HandoverProtocol,
+    MoveGripper,
+    Observation,
+    Phase,
+    ProtocolSettings,
+    ReleasePolicy,
+    RequestPlan,
+    RequestReturn,
+    Show,
+    Stop,
+)
+from handover_ros.cell.safety import Freshness, LivenessMonitor
+from handover_ros.cell.touch import PullDetector
+from handover_ros.errors import ErrorCode, HandoverError
+from handover_ros.nodes.convert import (
+    image_message,
+    numpy_array,
+    plan_from_message,
+    stage_from_message,
+    trajectory_message,
+)
+from handover_ros.nodes.parameters import ParameterSpec
+from handover_ros.nodes.runtime import (
+    LATCHED,
+    SENSOR_CONSUMER,
+    SENSOR_PUBLISHER,
+    HandoverNode,
+    main_of,
+    monotonic,
+)
+from handover_ros.robot.model import RobotModel
+
+RATE = 50.0  # [Hz] of wall time at which the protocol is stepped
+ENABLE_PERIOD = 0.1  # [s] of wall time between two signs of life to the robot
+FEEDBACK_PERIOD = 0.2  # [s] of wall time
+STOPPED_TIME = 0.5  # [s] of wall time the robot is told to stop before a way back may move it again
+JUMP_BACK = 0.5  # [s] the clock may go back without being called a jump
+STARTUP_GRACE = 2.0  # [s] of wall time after the start in which nodes may not have been heard yet
+BASELINE_SAMPLES = 30  # joint states that settle what "no pull" feels like
+
+PARAMETERS = (
+    ParameterSpec("robot", "baxter", "robot description in config/robots"),
+    ParameterSpec("scheme", "relative", "default scheme when a goal names none", read_only=False),
+    ParameterSpec(
+        "release_policy",
+        "grasp",
+        "let go when the person's pull is felt (grasp), after ready_time (timer), or at the first of both (either)",
+        choices=tuple(policy.value for policy in ReleasePolicy),
+        read_only=False,
+    ),
+    ParameterSpec("ready_time", 2.0, "[s] of 'Ready?' before a timed release", 0.1, 60.0, read_only=False),
+    ParameterSpec("take_limit", 15.0, "[s] without a grasp until the object goes back", 1.0, 600.0, read_only=False),
+    ParameterSpec("pull_threshold", 4.0, "[N] change of force at the gripper that is a pull", 0.5, 50.0),
+    ParameterSpec("gripper_force", 30.0, "[N] closing force", 1.0, 100.0),
+    ParameterSpec(
+        "required_nodes",
+        ["sim_node", "mocap_node", "skeleton_node", "planner_node"],
+        "nodes whose silence ends a handover (sim_node: the robot's driver)",
+    ),
+    ParameterSpec("lost_after", 1.5, "[s] of wall time without a heartbeat after which a node is lost", 0.5, 10.0),
+)
+
+
+@dataclass
+class Run:
+    """The handover under way."""
+
+    handover_id: str
+    goal: ServerGoalHandle
+    protocol: HandoverProtocol
+    done: Future
+    plan: HandoverPlan | None = None
+    last_feedback: float = 0.0
+    last_phase: Phase | None = None
+    cancelled: bool = False
+
+
+class ExecutiveNode(HandoverNode):
+    """Action ``handover/execute``; commands the robot, watches the graph."""
+
+    def __init__(self) -> None:
+        super().__init__("executive_node", PARAMETERS)
+        self.robot = RobotModel.load(self.parameters["robot"])
+        self.liveness = LivenessMonitor(tuple(self.parameters["required_nodes"]), self.parameters["lost_after"])
+        self.robot_state = Freshness("robot/joint_states", limit=1.0)
+        self.pull = PullDetector(self.parameters["pull_threshold"], BASELINE_SAMPLES)
+        self.pulled = False
+        self.joints: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # arm -> positions, velocities
+        self.grippers: dict[str, tuple[float, bool]] = {}  # arm -> opening [m], gripping
+        self.objects: dict[str, np.ndarray] = {}  # name -> flat pose
+        self.hand_markers: list[int] = []
+        self.markers: MarkerFrame | None = None
+        self.run: Run | None = None
+        self.numbers = itertools.count(1)
+        self.handovers, self.taken = 0, 0
+        self.last_time = 0.0
+        self.stopped_until = float("-inf")
+        self.last_enable = 0.0
+        self.started = monotonic()
+
+        self.trajectory_publisher = self.create_publisher(JointTrajectory, "robot/joint_trajectory", SENSOR_PUBLISHER)
+        self.gripper_publisher = self.create_publisher(GripperCommand, "robot/gripper_command", SENSOR_PUBLISHER)
+        self.enable_publisher = self.create_publisher(Bool, "robot/enable", SENSOR_PUBLISHER)
+        self.display_publisher = self.create_publisher(Image, "robot/display", LATCHED)
+        self.state_publisher = self.create_publisher(CellState, "cell/state", LATCHED)
+        self.choice_publisher = self.create_publisher(GraspChoice, "handover/grasp_choice", SENSOR_PUBLISHER)
+
+        self.create_subscription(JointState, "robot/joint_states", self.on_joint_state, SENSOR_CONSUMER)
+        self.create_subscription(GripperState, "robot/gripper_state", self.on_gripper_state, SENSOR_CONSUMER)
+        self.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
+        self.create_subscription(MarkerFrame, "mocap/markers", self.on_markers, SENSOR_CONSUMER)
+        self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
+        self.create_subscription(Heartbeat, "cell/heartbeat", self.on_heartbeat, SENSOR_PUBLISHER)
+
+        awaiting = ReentrantCallbackGroup()
+        self.plan_client = self.create_client(PlanHandover, "planner/plan_handover", callback_group=awaiting)
+        self.motion_client = self.create_client(PlanMotion, "planner/plan_motion", callback_group=awaiting)
+        self.create_timer(1.0 / RATE, self.tick, clock=self.steady_clock)
+        self.show("Ready when you are")
+        self.publish_state("idle", "waiting for a handover/execute goal")
+        self.action_server = ActionServer(
+            self,
+            ExecuteHandover,
+            "handover/execute",
+            execute_callback=self.execute,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=awaiting,
+        )
+        self.ready("ready for handovers")
+
+    # What is observed
+
+    def on_joint_state(self, message: JointState) -> None:
+        """Keep the arms' positions; while the object is offered, feel for a pull."""
+        self.robot_state.sample(monotonic())
+        index = {name: number for number, name in enumerate(message.name)}
+        for arm in self.robot.arm_names:
+            try:
+                columns = [index[name] for name in self.robot.arm(arm).joint_names]
+            except KeyError:
+                continue
+            positions = np.array(message.position)[columns]
+            self.joints[arm] = (positions, np.array(message.velocity)[columns])
+            run = self.run
+            if run and run.protocol.phase is Phase.WAITING and run.plan and run.plan.arm == arm and message.effort:
+                effort = np.array(message.effort)[columns]
+                self.pulled = self.pull.update(self.robot.external_force(arm, positions, effort)) or (
+                    self.pulled and self.pull.pull > 0.5 * self.pull.threshold
+                )
+
+    def on_gripper_state(self, message: GripperState) -> None:
+        """Keep the grippers' openings."""
+        for arm, opening, gripping in zip(message.arms, message.openings, message.gripping, strict=False):
+            self.grippers[arm] = (opening, gripping)
+
+    def on_objects(self, message: ObjectStates) -> None:
+        """Keep where the objects were seen."""
+        try:
+            poses = numpy_array(message.poses, len(message.names), 7)
+        except HandoverError:
+            return
+        self.objects = dict(zip(message.names, poses, strict=True))
+
+    def on_markers(self, message: MarkerFrame) -> None:
+        """Keep the newest marker frame; it is read when needed."""
+        self.markers = message
+
+    def on_marker_set(self, message: MarkerSet) -> None:
+        """Find the markers on the hands."""
+        self.hand_markers = [number for number, segment in enumerate(message.segment_names) if "hand" in segment]
+
+    def on_heartbeat(self, message: Heartbeat) -> None:
+        """Note a sign of life."""
+        self.liveness.beat(message.node, monotonic())
+
+    def hand_distance(self, object_name: str) -> float:
+        """Return the distance [m] from the object to the nearest hand marker; NaN when either is not seen."""
+        pose, markers = self.objects.get(object_name), self.markers
+        if pose is None or markers is None or not self.hand_markers:
+            return float("nan")
+        positions = numpy_array(markers.positions).reshape(-1, 3)
+        if len(positions) <= max(self.hand_markers):
+            return float("nan")
+        distances = np.linalg.norm(positions[self.hand_markers] - pose[:3], axis=1)
+        return float(np.nanmin(distances)) if np.isfinite(distances).any() else float("nan")
+
+    def observe(self, run: Run) -> Observation:
+        """Return what the protocol needs to know now."""
+        now, wall = self.seconds_now(), monotonic()
+        trouble, code = "", ErrorCode.NONE
+        if lost := self.liveness.lost(wall):
+            trouble, code = (
+                f"lost {', '.join(lost)}: no heartbeat for {self.liveness.lost_after:g} s",
+                ErrorCode.NODE_LOST,
+            )
+        elif (missing := self.liveness.missing(wall)) and wall - self.started > STARTUP_GRACE:
+            trouble, code = f"{', '.join(missing)} is not running", ErrorCode.NODE_LOST
+        elif problem := self.robot_state.problem(wall):
+            trouble, code = problem, ErrorCode.STALE_DATA
+        elif now < self.last_time - JUMP_BACK:
+            trouble, code = f"the clock jumped back by {self.last_time - now:.1f} s", ErrorCode.STALE_DATA
+        self.last_time = now
+        arm = run.plan.arm if run.plan else ""
+        positions, velocities = self.joints.get(arm, (np.empty(0), np.empty(0)))
+        opening, gripping = self.grippers.get(arm, (float("nan"), False))
+        name = run.protocol.object_name
+        pose = self.objects.get(name)
+        return Observation(
+            time=now,
+            positions=positions,
+            velocities=velocities,
+            gripping=gripping,
+            opening=opening,
+            pulled=self.pulled,
+            object_height=float(pose[2]) if pose is not None else float("nan"),
+            hand_distance=self.hand_distance(name),
+            trouble=trouble,
+            trouble_code=code,
+        )
+
+    # The action
+
+    async def execute(self, goal: ServerGoalHandle) -> ExecuteHandover.Result:
+        """Run one handover; a second goal meanwhile is answered BUSY."""
+        request = goal.request
+        if self.run is not None:
+            goal.abort()
+            busy = f"busy with handover {self.run.handover_id} of {self.run.protocol.object_name}"
+            return ExecuteHandover.Result(success=False, error_code=int(ErrorCode.BUSY), message=busy)
+        now = self.seconds_now()
+        settings = ProtocolSettings(
+            release_policy=ReleasePolicy(self.parameters["release_policy"]),
+            ready_time=self.parameters["ready_time"],
+            take_limit=self.parameters["take_limit"],
+        )
+        handover_id = f"{now:.3f}-{next(self.numbers)}"
+        run = Run(handover_id, goal, HandoverProtocol(request.object_name, settings, now), Future())
+        self.last_time = now
+        self.pulled = False
+        self.pull.reset()
+        self.stopped_until = float("-inf")
+        self.run = run
+        try:
+            await run.done
+        finally:
+            self.run = None
+        return self.result_of(run)
+
+    def result_of(self, run: Run) -> ExecuteHandover.Result:
+        """Close the goal and return its result."""
+        outcome = run.protocol.outcome
+        assert outcome is not None
+        self.handovers += 1
+        self.taken += outcome.taken
+        phases = [(phase, duration) for phase, duration in run.protocol.phases if phase is not Phase.DONE]
+        result = ExecuteHandover.Result(
+            success=outcome.success,
+            error_code=int(outcome.code),
+            message=outcome.message,
+            handover_id=run.handover_id,
+            taken=outcome.taken,
+            phases=[phase.value for phase, _ in phases],
+            phase_durations=[float(duration) for _, duration in phases],
+        )
+        if run.plan is not None:
+            result.plan = run.plan
+            result.choice = self.choice_of(run)
+        if outcome.taken:
+            self.choice_publisher.publish(result.choice)
+        self.publish_state("idle", outcome.message)
+        if outcome.success:
+            run.goal.succeed()
+        elif outcome.code is ErrorCode.CANCELLED:
+            run.goal.canceled()
+        else:
+            self.get_logger().error(outcome.message)
+            run.goal.abort()
+        return result
+
+    def choice_of(self, run: Run) -> GraspChoice:
+        """Return how the person took the object, as far as it is known without arm tracking."""
+        assert run.plan is not None
+        choice = GraspChoice(handover_id=run.handover_id, plan_id=run.plan.plan_id)
+        choice.header.stamp = self.get_clock().now().to_msg()
+        choice.header.frame_id = run.plan.header.frame_id
+        choice.object_name = run.plan.object_name
+        choice.handover_pose = run.plan.handover_pose
+        return choice
+
+    # Stepping
+
+    def tick(self) -> None:
+        """Step the protocol and keep the robot enabled while a handover is under way."""
+        wall, run = monotonic(), self.run
+        if run is not None and not run.protocol.finished:
+            if run.goal.is_cancel_requested and not run.cancelled:
+                run.cancelled = True
+                run.protocol.cancel()
+            for command in run.protocol.step(self.observe(run)):
+                self.carry_out(command, run)
+            self.report(run, wall)
+            if run.protocol.finished:
+                run.done.set_result(None)
+        if wall - self.last_enable >= ENABLE_PERIOD:
+            self.enable(run is not None and not run.protocol.finished and wall > self.stopped_until)
+
+    def enable(self, value: bool) -> None:
+        """Tell the robot that it may move (true) or must hold (false)."""
+        self.last_enable = monotonic()
+        self.enable_publisher.publish(Bool(data=bool(value)))
+
+    def report(self, run: Run, wall: float) -> None:
+        """Publish feedback now and then, and the cell's state when the phase changes."""
+        protocol = run.protocol
+        changed = protocol.phase is not run.last_phase
+        if changed:
+            run.last_phase = protocol.phase
+            if protocol.phase is Phase.WAITING:
+                self.pull.reset()
+                self.pulled = False
+            self.publish_state(protocol.phase.value, protocol.message, run)
+        if (changed or wall - run.last_feedback >= FEEDBACK_PERIOD) and not protocol.finished:
+            run.last_feedback = wall
+            run.goal.publish_feedback(
+                ExecuteHandover.Feedback(
+                    phase=protocol.phase.value,
+                    phase_time=float(self.seconds_now() - protocol.phase_start),
+                    message=protocol.message,
+                )
+            )
+
+    def carry_out(self, command: Command, run: Run) -> None:
+        """Carry out one command of the protocol."""
+        match command:
+            case Show(text):
+                self.show(text)
+            case Stop():
+                self.stopped_until = monotonic() + STOPPED_TIME
+                self.enable(False)
+            case Follow(stage):
+                names = self.robot.arm(run.plan.arm).joint_names
+                self.enable(True)
+                self.trajectory_publisher.publish(
+                    trajectory_message(names, stage.times, stage.positions, stage.velocities)
+                )
+            case MoveGripper(opening):
+                self.gripper_publisher.publish(
+                    GripperCommand(
+                        arm=run.plan.arm, opening=float(opening), max_force=float(self.parameters["gripper_force"])
+                    )
+                )
+            case RequestPlan():
+                self.executor.create_task(self.request_plan(run))
+            case RequestReturn(holding):
+                self.executor.create_task(self.request_return(run, holding))
+
+    async def request_plan(self, run: Run) -> None:
+        """Ask the planner for the handover and hand its answer to the protocol."""
+        goal = run.goal.request
+        request = PlanHandover.Request(
+            object_name=goal.object_name,
+            scheme=goal.scheme or self.parameters["scheme"],
+            arm=goal.arm,
+            person_model=goal.person_model,
+            has_goal=goal.has_goal,
+            goal=goal.goal,
+        )
+        try:
+            answer = await self.call(self.plan_client, request, run.protocol.settings.plan_limit)
+            if not answer.success:
+                raise HandoverError(answer.message, ErrorCode(answer.error_code))
+            run.plan = answer.plan
+            run.protocol.plan_ready(plan_from_message(answer.plan))
+        except HandoverError as error:
+            run.protocol.plan_failed(error.code, str(error))
+
+    async def request_return(self, run: Run, holding: bool) -> None:
+        """Ask the planner for the way back and hand it to the protocol."""
+        request = PlanMotion.Request(arm=run.plan.arm, posture="put_back" if holding else "home")
+        if holding:
+            request.held_object = run.protocol.object_name
+        try:
+            answer = await self.call(self.motion_client, request, run.protocol.settings.plan_limit)
+            if not answer.success:
+                raise HandoverError(answer.message, ErrorCode(answer.error_code))
+            opening = self.robot.arm(run.plan.arm).opening_maximum if holding else float("nan")
+            run.protocol.return_ready((stage_from_message(request.posture, answer.trajectory, opening),))
+        except HandoverError as error:
+            run.protocol.plan_failed(error.code, str(error))
+
+    # What is shown
+
+    def show(self, text: str) -> None:
+        """Show a text on the head display."""
+        self.display_publisher.publish(image_message(text_picture(text), "display"))
+
+    def publish_state(self, phase: str, message: str, run: Run | None = None) -> None:
+        """Publish the cell's state, latched."""
+        state = CellState(phase=phase, message=message, handovers=self.handovers, taken=self.taken)
+        state.header.stamp = self.get_clock().now().to_msg()
+        state.lost_nodes = list(self.liveness.lost(monotonic()))
+        if run is not None:
+            state.handover_id, state.object_name = run.handover_id, run.protocol.object_name
+        self.state_publisher.publish(state)
+
+    def diagnose(self) -> tuple[bool, str, dict[str, object]]:
+        """Report the phase and who is missing."""
+        missing = self.liveness.missing(monotonic())
+        phase = self.run.protocol.phase.value if self.run else "idle"
+        line = f"missing: {', '.join(missing)}" if missing else phase
+        return (
+            not missing,
+            line,
+            {"phase": phase, "handovers": self.handovers, "taken": self.taken, "pull_N": self.pull.pull},
+        )
+
+    def on_stop(self) -> None:
+        """Stop the robot."""
+        self.enable(False)
+
+
+main = main_of(ExecutiveNode)
+
+if __name__ == "__main__":
+    main()
