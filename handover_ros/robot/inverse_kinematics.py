@@ -1,0 +1,99 @@
+"""Inverse kinematics of a redundant arm: several distinct solutions within the joint limits, best first."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_ros.errors import BadRequestError
+from handover_ros.geometry import FloatArray
+from handover_ros.robot import kinematics_kernels as kernels
+from handover_ros.robot.model import RobotModel
+
+POSE_TOLERANCE = 1e-6  # norm of position [m] and rotation [rad] error
+ITERATIONS = 60
+SEPARATION = 0.2  # [rad] in some joint between two solutions that count as distinct
+LIBRARY_SIZE = 8000  # random configurations whose poses are known
+NEAR_STARTS = 150  # of them, nearest to the target, tried in order
+ROTATION_LENGTH = 0.3  # [m] that one radian weighs in "nearest"
+LIMIT_WEIGHT = 0.3  # weight of the distance from the middle of the limits against closeness to the preferred posture
+
+
+class InverseKinematics:
+    """Finds joint displacements that put an arm's gripper at a pose.
+
+    Numerical, from many starts: the arm's preferred postures and those of a fixed library of random configurations whose
+    gripper poses are nearest to the target. Deterministic for a seed.
+
+    Attributes:
+        arm: The arm's model.
+    """
+
+    def __init__(self, robot: RobotModel, arm: str, seed: int = 0) -> None:
+        self.arm = robot.arm(arm)
+        axes, points, tip = robot.chain(arm)
+        self._chain = tuple(np.ascontiguousarray(part) for part in (axes, points, tip))
+        self._lower, self._upper = self.arm.lower.copy(), self.arm.upper.copy()
+        rng = np.random.default_rng(seed)
+        self._library = rng.uniform(self._lower, self._upper, size=(LIBRARY_SIZE, len(self._lower)))
+        self._library_poses = kernels.forward_many(*self._chain, self._library)
+
+    def solve(
+        self, world_from_gripper: FloatArray, preferred: npt.ArrayLike | None = None, wanted: int = 8
+    ) -> FloatArray:
+        """Return up to ``wanted`` distinct solutions, shape (m, n) [rad], sorted by ``posture_cost``; m = 0: none.
+
+        Args:
+            world_from_gripper: Gripper pose. Shape (4, 4).
+            preferred: Posture to stay close to [rad] (n,); left out: home.
+            wanted: Largest number of solutions.
+
+        Raises:
+            BadRequestError: The pose is not a finite rigid transform.
+        """
+        target = _checked_pose(world_from_gripper)
+        posture = self.arm.home if preferred is None else np.asarray(preferred, dtype=float)
+        nearest = self._nearest(target)
+        starts = np.vstack([posture[None], self.arm.home[None], self._library[nearest]])
+        solutions = kernels.search(
+            *self._chain, self._lower, self._upper, target, starts, wanted, SEPARATION, ITERATIONS, POSE_TOLERANCE
+        )
+        return solutions[np.argsort(self.posture_cost(solutions, posture), kind="stable")]
+
+    def follow(self, world_from_gripper: FloatArray, start: npt.ArrayLike) -> FloatArray | None:
+        """Return the solution (n,) reached from ``start`` [rad] (n,), or None: one step of a Cartesian motion."""
+        target = _checked_pose(world_from_gripper)
+        solution, error = kernels.descend(
+            *self._chain, self._lower, self._upper, target, np.array(start, dtype=float), ITERATIONS, POSE_TOLERANCE
+        )
+        return np.asarray(solution) if error < POSE_TOLERANCE else None
+
+    def posture_cost(self, displacements: FloatArray, preferred: FloatArray) -> FloatArray:
+        """Return the cost (m,) of postures (m, n): mean square distance to ``preferred`` and to the middle of the limits.
+
+        Distances are fractions of half a joint's range.
+        """
+        half_range = (self._upper - self._lower) / 2.0
+        middle = (self._upper + self._lower) / 2.0
+        near = np.mean(((displacements - preferred) / half_range) ** 2, axis=-1)
+        centred = np.mean(((displacements - middle) / half_range) ** 4, axis=-1)
+        return np.asarray(near + LIMIT_WEIGHT * centred)
+
+    def _nearest(self, target: FloatArray) -> npt.NDArray[np.int64]:
+        """Return the places in the library of the gripper poses nearest to a target."""
+        offsets = self._library_poses[:, :3, 3] - target[:3, 3]
+        # |R1 - R2|^2 = 2 |angle|^2 for small angles.
+        turned = self._library_poses[:, :3, :3].reshape(-1, 9) @ target[:3, :3].ravel()
+        distance = np.einsum("ij,ij->i", offsets, offsets) + ROTATION_LENGTH**2 * (3.0 - turned)
+        nearest = np.argpartition(distance, NEAR_STARTS)[:NEAR_STARTS]
+        return np.asarray(nearest[np.argsort(distance[nearest], kind="stable")])
+
+
+def _checked_pose(pose: FloatArray) -> FloatArray:
+    """Return a pose as a contiguous array after checking it."""
+    target = np.ascontiguousarray(pose, dtype=float)
+    if target.shape != (4, 4) or not np.all(np.isfinite(target)):
+        raise BadRequestError("a gripper pose must be a finite 4x4 transform")
+    if np.max(np.abs(target[:3, :3] @ target[:3, :3].T - np.eye(3))) > 1e-4 or np.linalg.det(target[:3, :3]) < 0:
+        raise BadRequestError("a gripper pose must have a rotation matrix (orthonormal, determinant 1)")
+    return target
