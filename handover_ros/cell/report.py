@@ -1,0 +1,176 @@
+"""What a command leaves behind: the stable JSON, the table of handovers, the picture of their phases."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+
+import matplotlib
+from rich.table import Table
+
+import handover_ros
+
+VERSIONED = ("numpy", "scipy", "pin", "mujoco", "filterpy", "numba", "rclpy")
+
+PHASE_COLOURS = {
+    "planning": "#9aa0a6",
+    "fetching": "#4c78a8",
+    "presenting": "#72b7b2",
+    "waiting": "#eeca3b",
+    "releasing": "#f58518",
+    "retracting": "#54a24b",
+    "returning": "#e45756",
+}
+
+
+@dataclass(frozen=True)
+class HandoverRecord:
+    """One handover as it went.
+
+    Attributes:
+        number: 1, 2, ...
+        object_name: What was handed over.
+        scheme: How the pose was chosen.
+        arm: The robot's arm; empty when none was chosen.
+        success: The executive's verdict.
+        taken: True state: the object ended in the person's hand.
+        placed: True state: the person brought it to its goal.
+        message: The executive's sentence.
+        phases: (name, duration [s] of ROS time), in order.
+        planning_time: [s] wall time of the plan.
+        pictures: Rendered pictures.
+    """
+
+    number: int
+    object_name: str
+    scheme: str
+    arm: str
+    success: bool
+    taken: bool
+    placed: bool
+    message: str
+    phases: tuple[tuple[str, float], ...] = ()
+    planning_time: float = float("nan")
+    pictures: tuple[Path, ...] = field(default_factory=tuple)
+
+    @property
+    def duration(self) -> float:
+        """Duration of all phases [s]."""
+        return sum(seconds for _, seconds in self.phases)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    found = {"handover_ros": handover_ros.__version__, "python": platform.python_version()}
+    for name in VERSIONED:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def write_json(
+    path: Path,
+    command: str,
+    ok: bool,
+    seed: int,
+    metrics: dict[str, float],
+    claims: Sequence[dict[str, object]] = (),
+    files: Sequence[Path] = (),
+    **more: object,
+) -> None:
+    """Write a command's result in the one stable shape, whole or not at all; numbers that are not finite become null."""
+    document = {
+        "command": command,
+        "ok": ok,
+        "seed": seed,
+        "versions": versions(),
+        "metrics": {key: finite(value) for key, value in metrics.items()},
+        "claims": list(claims),
+        "files": [str(file) for file in files],
+        **more,
+    }
+    write_whole(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+def finite(value: float) -> float | int | None:
+    """Return a plain JSON number, None for NaN and infinity."""
+    if isinstance(value, int):
+        return int(value)
+    return float(value) if math.isfinite(value) else None
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file whole or not at all: temporary file, fsync, rename."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def handover_table(records: Sequence[HandoverRecord]) -> Table:
+    """Return the table of handovers for a terminal."""
+    table = Table(title="Handovers", title_justify="left")
+    for heading in ("#", "object", "scheme", "arm", "taken", "placed"):
+        table.add_column(heading)
+    phase_names = list(dict.fromkeys(name for record in records for name, _ in record.phases))
+    for name in phase_names:
+        table.add_column(f"{name} [s]", justify="right")
+    table.add_column("plan [s wall]", justify="right")
+    for record in records:
+        durations = dict(record.phases)
+        table.add_row(
+            str(record.number),
+            record.object_name,
+            record.scheme,
+            record.arm,
+            "yes" if record.taken else "[red]no[/red]",
+            "yes" if record.placed else "no",
+            *(f"{durations[name]:.1f}" if name in durations else "" for name in phase_names),
+            f"{record.planning_time:.2f}" if math.isfinite(record.planning_time) else "",
+        )
+    return table
+
+
+def draw_phases(records: Sequence[HandoverRecord], path: Path) -> Path:
+    """Draw the phases of each handover as bars over time and return the PNG's path."""
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(9.0, 1.4 + 0.45 * len(records)), layout="constrained")
+    for row, record in enumerate(records):
+        start = 0.0
+        for name, seconds in record.phases:
+            axes.barh(row, seconds, left=start, color=PHASE_COLOURS.get(name, "#bab0ac"), edgecolor="white")
+            if seconds > 0.9:
+                axes.text(start + seconds / 2, row, f"{seconds:.1f}", ha="center", va="center", fontsize=8)
+            start += seconds
+        axes.text(start + 0.1, row, "taken" if record.taken else "not taken", va="center", fontsize=8)
+    axes.set_yticks(range(len(records)), [f"{record.number} {record.object_name}" for record in records])
+    axes.invert_yaxis()
+    axes.set_xlabel("time [s]")
+    axes.margins(x=0.08)
+    axes.spines[["top", "right"]].set_visible(False)
+    used = dict.fromkeys(name for record in records for name, _ in record.phases)
+    handles = [pyplot.Rectangle((0, 0), 1, 1, color=PHASE_COLOURS.get(name, "#bab0ac")) for name in used]
+    axes.legend(handles, list(used), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, frameon=False, fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    pyplot.close(figure)
+    return path

@@ -1,0 +1,163 @@
+"""``handover COMMAND``: the everyday commands of the cell.
+
+``doctor`` and ``test`` belong to the entry script ``./handover``, since they must work before anything is installed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import click
+import typer
+from rich.console import Console
+
+from handover_ros.errors import HandoverError, UnknownNameError
+from handover_ros.resources import config_directory
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+NODES = ("sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node")
+
+app = typer.Typer(
+    name="handover",
+    help="A live handover cell: a robot hands objects to a person so that it suits that person.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+console = Console()
+
+JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of everything written.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulation.")]
+PersonOption = Annotated[str, typer.Option(help="Simulated person, a file of config/people.")]
+RobotOption = Annotated[str, typer.Option(help="Robot, a file of config/robots.")]
+SceneOption = Annotated[str, typer.Option(help="Scene, a file of config/scenes.")]
+SpeedOption = Annotated[
+    float, typer.Option(min=0.0, max=100.0, help="Simulated seconds per second; 0: as fast as the machine can.")
+]
+
+
+def interrupted_by_signals() -> threading.Event:
+    """Return an event that SIGINT and SIGTERM set from now on."""
+    event = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: event.set())
+    return event
+
+
+@app.command()
+def demo(
+    handovers: Annotated[int, typer.Option(min=1, max=1000, help="How many handovers.")] = 3,
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Object to hand over; repeat for a sequence.")
+    ] = None,
+    scheme: Annotated[str, typer.Option(help="How the handover pose is chosen: constant or relative.")] = "relative",
+    person: PersonOption = "adult",
+    robot: RobotOption = "baxter",
+    scene: SceneOption = "lab",
+    recording: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="C3D, TRC or Vicon CSV instead of the simulated cameras.")
+    ] = None,
+    marker_set: Annotated[str, typer.Option(help="Marker set of the recording; auto: the one that fits.")] = "auto",
+    speed: SpeedOption = 2.0,
+    pictures: Annotated[bool, typer.Option(help="Render pictures of each handover.")] = True,
+    seed: SeedOption = 1,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Run the whole cell in simulation: hand objects over, end with a table and pictures."""
+    from handover_ros.nodes.demo import DemoRequest, run_demo
+
+    request = DemoRequest(
+        handovers=handovers,
+        objects=tuple(objects or ()),
+        scheme=scheme,
+        person=person,
+        robot=robot,
+        scene=scene,
+        recording=recording,
+        marker_set=marker_set,
+        speed=speed,
+        pictures=pictures,
+        seed=seed,
+        json_file=json_file,
+        out=out,
+    )
+    raise typer.Exit(run_demo(request, console, interrupted_by_signals()))
+
+
+@app.command()
+def up(
+    person: PersonOption = "adult",
+    robot: RobotOption = "baxter",
+    scene: SceneOption = "lab",
+    speed: SpeedOption = 1.0,
+    seed: SeedOption = 1,
+    without: Annotated[
+        list[str] | None, typer.Option(help="Node not to start, e.g. sim_node when a real robot's driver runs.")
+    ] = None,
+    out: OutOption = None,
+) -> None:
+    """Run the cell until Ctrl-C."""
+    from handover_ros.nodes.demo import UpRequest, run_up
+
+    for name in without or ():
+        if name not in NODES:
+            raise UnknownNameError("node", name, NODES)
+    nodes = tuple(node for node in NODES if node not in (without or ()))
+    request = UpRequest(nodes=nodes, person=person, robot=robot, scene=scene, speed=speed, seed=seed, out=out)
+    raise typer.Exit(run_up(request, console, interrupted_by_signals()))
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def run(
+    context: typer.Context,
+    node: Annotated[str, typer.Argument(help=f"One of {', '.join(NODES)}.")],
+) -> None:
+    """Run one node; arguments after it go to ROS, e.g. --ros-args -p marker_set:=upper_body_24."""
+    if node not in NODES:
+        raise UnknownNameError("node", node, NODES)
+    arguments = list(context.args)
+    parameter_file = config_directory() / f"{node}.yaml"
+    if "--params-file" not in arguments and parameter_file.is_file():
+        # First, so that -p overrides win.
+        arguments = ["--ros-args", "--params-file", str(parameter_file), *arguments]
+    os.execv(sys.executable, [sys.executable, "-m", f"handover_ros.nodes.{node}", *arguments])
+
+
+def guarded(command: Callable[[], object]) -> int:
+    """Run a command and return its exit status; what the user can mend becomes one line on standard error."""
+    try:
+        result = command()
+    except HandoverError as error:
+        return complain(str(error))
+    except click.UsageError as error:
+        return complain(error.format_message())
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        return 0
+    return result if isinstance(result, int) else 0
+
+
+def complain(message: str) -> int:
+    """Print one line on standard error and return the exit status of bad input."""
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_BAD_INPUT
+
+
+def main() -> None:
+    """Entry point of ``handover``."""
+    sys.exit(guarded(lambda: app(standalone_mode=False, prog_name="./handover")))
+
+
+if __name__ == "__main__":
+    main()

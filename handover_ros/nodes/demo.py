@@ -1,0 +1,355 @@
+"""``handover demo`` and ``handover up``: the graph as separate processes, and what an operator does with it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import statistics
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from handover_msgs.action import ExecuteHandover
+from handover_msgs.srv import ResetSimulation
+from handover_ros.cell.processes import CellProcesses, NodeLaunch
+from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, write_json
+from handover_ros.errors import BadRecordingError, BadRequestError, HandoverError, UnknownNameError
+from handover_ros.mocap.marker_sets import matching_marker_set
+from handover_ros.mocap.recordings import read_recording
+from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
+from handover_ros.objects.catalogue import load_object
+from handover_ros.objects.scene import load_scene
+from handover_ros.planning.schemes import scheme_names
+from handover_ros.resources import config_directory, config_file, config_names
+
+READY_LIMIT = 60.0  # [s] of wall time until the graph is ready; the first start compiles and converts meshes
+HANDOVER_LIMIT = 240.0  # [s] of wall time for one handover
+PLACE_LIMIT = 20.0  # [s] of simulated time for the person to bring the object to its goal
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class DemoRequest:
+    """What ``handover demo`` was asked for."""
+
+    handovers: int
+    objects: tuple[str, ...]
+    scheme: str
+    person: str
+    robot: str
+    scene: str
+    recording: Path | None
+    marker_set: str
+    speed: float
+    pictures: bool
+    seed: int
+    json_file: Path | None
+    out: Path | None
+
+
+@dataclass(frozen=True)
+class UpRequest:
+    """What ``handover up`` was asked for."""
+
+    nodes: tuple[str, ...]
+    person: str
+    robot: str
+    scene: str
+    speed: float
+    seed: int
+    out: Path | None
+
+
+def checked_objects(request: DemoRequest) -> tuple[str, ...]:
+    """Return the objects to hand over, in turn.
+
+    Raises:
+        UnknownNameError: An object, person, robot, scene or scheme is not known, or the scene lacks the object.
+    """
+    config_file("people", request.person)
+    config_file("robots", request.robot)
+    if request.scheme not in scheme_names():
+        raise UnknownNameError("scheme", request.scheme, scheme_names())
+    placed = tuple(load_scene(request.scene).placements)
+    for name in request.objects:
+        load_object(name)
+        if name not in placed:
+            raise UnknownNameError(f"object in scene {request.scene}", name, placed)
+    one_handed = tuple(name for name in placed if load_object(name).hands == 1)
+    return request.objects or one_handed
+
+
+def launches(
+    nodes: tuple[str, ...], person: str, robot: str, scene: str, seed: int, speed: float, folder: Path
+) -> dict[str, NodeLaunch]:
+    """Return how to start each node of a simulated cell."""
+    simulated: dict[str, object] = {"use_sim_time": True} if "sim_node" in nodes else {}
+    own: dict[str, dict[str, object]] = {
+        "sim_node": {
+            "scene": scene,
+            "robot": robot,
+            "person": person,
+            "seed": seed,
+            "realtime_factor": speed,
+            "picture_directory": str(folder / "pictures"),
+        },
+        "planner_node": {"robot": robot, "scene": scene, **simulated},
+        "executive_node": {"robot": robot, **simulated},
+    }
+    return {node: NodeLaunch(node, own.get(node, simulated), config_directory() / f"{node}.yaml") for node in nodes}
+
+
+def output_folder(out: Path | None, command: str) -> Path:
+    """Return the folder to write to, made if need be.
+
+    Raises:
+        BadRequestError: It cannot be made.
+    """
+    folder = out or Path("handover_out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadRequestError(f"--out {folder}: cannot be made: {error.strerror}") from None
+    return folder.resolve()
+
+
+def check_alive(processes: CellProcesses) -> None:
+    """Raise when a node ended that should run, with what it said last."""
+    for node in processes.ended():
+        line = node.last_line().removeprefix("error: ")
+        raise HandoverError(f"{node.launch.node} ended with status {node.status}: {line} (log: {node.log})")
+
+
+def recording_parameters(request: DemoRequest) -> dict[str, object]:
+    """Return the motion-capture node's parameters for a recording, after a look at it.
+
+    Raises:
+        BadRecordingError: The file cannot be read, or no marker set fits it.
+    """
+    assert request.recording is not None
+    recording = read_recording(request.recording)
+    name = request.marker_set
+    if name == "auto":
+        matching = matching_marker_set(recording.names)
+        if matching is None:
+            raise BadRecordingError(
+                f"{request.recording}: no marker set fits its labels (tried {', '.join(config_names('marker_sets'))});"
+                " write one and name it with --marker-set"
+            )
+        name = matching.name
+    return {
+        "source": "recording",
+        "recording": str(request.recording.resolve()),
+        "marker_set": name,
+        "placement": "auto",
+        "loop": True,
+    }
+
+
+def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> int:
+    """Run the demonstration and return the exit status: 0 when every object ended in the person's hand."""
+    objects = checked_objects(request)
+    mocap = recording_parameters(request) if request.recording is not None else {}
+    folder = output_folder(request.out, "demo")
+    plan = launches(NODES_OF_DEMO, request.person, request.robot, request.scene, request.seed, request.speed, folder)
+    if mocap:
+        plan["mocap_node"] = NodeLaunch(
+            "mocap_node", {**plan["mocap_node"].parameters, **mocap}, plan["mocap_node"].parameter_file
+        )
+        plan["sim_node"] = NodeLaunch(
+            "sim_node",
+            {**plan["sim_node"].parameters, "person_follows_torso": True},
+            plan["sim_node"].parameter_file,
+        )
+    began = time.monotonic()
+    interrupt = Interrupt(stop)
+    with CellProcesses(folder / "log") as processes:
+        console.print(f"starting {len(plan)} nodes ...")
+        for launch in plan.values():
+            processes.start(launch)
+        try:
+            with operating(interrupt, lambda: check_alive(processes)) as operator:
+                operator.wait_ready(tuple(plan), READY_LIMIT)
+                ready = time.monotonic() - began
+                console.print(f"the graph is ready after {ready:.1f} s")
+                records = list(hand_over_all(request, objects, operator, console))
+                metrics = {"ready_s": ready, **measured(operator, records)}
+        except InterruptedByOperatorError:
+            console.print("interrupted; stopping the nodes ...")
+            return EXIT_INTERRUPTED
+    files = [*dict.fromkeys(picture for record in records for picture in record.pictures)]
+    files.append(draw_phases(records, folder / "phases.png"))
+    ok = all(record.taken for record in records) and not any(
+        metrics[name] for name in ("dropped", "joint_limit_violations", "velocity_limit_violations")
+    )
+    report(request, console, folder, records, metrics, files, ok)
+    return 0 if ok else EXIT_FAILED
+
+
+NODES_OF_DEMO = ("sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node")
+
+
+def hand_over_all(
+    request: DemoRequest, objects: tuple[str, ...], operator: Operator, console: Console
+) -> Iterator[HandoverRecord]:
+    """Run the handovers one after the other and give a record of each."""
+    for number, name in zip(range(1, request.handovers + 1), itertools.cycle(objects), strict=False):
+        if number > 1 and (number - 1) % len(objects) == 0:
+            # Everything has been handed over once: put it back on the tables.
+            operator.call(ResetSimulation, "sim/reset", ResetSimulation.Request(seed=-1, objects_only=True))
+        yield hand_over(number, name, request, operator, console)
+
+
+def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, console: Console) -> HandoverRecord:
+    """Run one handover, wait until the person has put the object down, and judge it by the true state."""
+    pictures: list[str] = []
+    events_before = len(operator.events)
+
+    def on_phase(phase: str, message: str) -> None:
+        console.print(f"  [dim]{number}/{request.handovers}[/dim] {phase:<10} {message}", highlight=False)
+        if request.pictures and phase in ("waiting", "retracting"):
+            pictures.append(operator.render())
+
+    goal = ExecuteHandover.Goal(object_name=name, scheme=request.scheme)
+    result = operator.hand_over(goal, on_phase, HANDOVER_LIMIT)
+    if not result.success:
+        console.print(f"  [red]{result.message}[/red]", highlight=False)
+
+    def happened(*kinds: str) -> bool:
+        return any(event.kind in kinds and event.object_name == name for event in operator.events[events_before:])
+
+    # The true state: the hand held it at the end of the handover (it may have put it down already).
+    taken = happened("taken") and not happened("dropped")
+    if taken:
+        wait_simulated(operator, lambda: happened("placed", "dropped"), PLACE_LIMIT)
+    return HandoverRecord(
+        number=number,
+        object_name=name,
+        scheme=request.scheme,
+        arm=result.plan.arm,
+        success=result.success,
+        taken=taken and not happened("dropped"),
+        placed=happened("placed") and operator.holder_of(name) == "goal",
+        message=result.message,
+        phases=tuple(zip(result.phases, result.phase_durations, strict=True)),
+        planning_time=result.plan.planning_time if result.plan.plan_id else math.nan,
+        pictures=tuple(Path(picture) for picture in pictures if picture),
+    )
+
+
+def wait_simulated(operator: Operator, predicate, limit: float) -> bool:
+    """Wait for ``predicate`` at most ``limit`` [s] of simulated time; return whether it came true."""
+
+    def now() -> float:
+        stamp = operator.truth.header.stamp if operator.truth else None
+        return stamp.sec + stamp.nanosec * 1e-9 if stamp else 0.0
+
+    deadline = now() + limit
+    operator.wait(lambda: predicate() or now() > deadline, 10.0 * limit, "the simulated time to pass")
+    return bool(predicate())
+
+
+def measured(operator: Operator, records: list[HandoverRecord]) -> dict[str, float]:
+    """Return the metrics of a demonstration."""
+    truth = operator.truth
+    mocap, metrics = operator.diagnostics.get("mocap_node", {}), {}
+    for metric, key in (
+        ("frames_read", "frames_read"),
+        ("missing_fraction", "missing_fraction"),
+        ("repaired_jumps", "repaired_jumps"),
+        ("repaired_swaps", "repaired_swaps"),
+        ("bridged_samples", "bridged_samples"),
+    ):
+        if key in mocap:
+            value = float(mocap[key])
+            metrics[metric] = int(value) if value.is_integer() and metric != "missing_fraction" else value
+    factors = operator.realtime_factors
+    residuals = operator.residuals
+    return {
+        "handovers": len(records),
+        "taken": sum(record.taken for record in records),
+        "placed": sum(record.placed for record in records),
+        "dropped": sum(event.kind == "dropped" for event in operator.events),
+        "joint_limit_violations": truth.joint_limit_violations if truth else math.nan,
+        "velocity_limit_violations": truth.velocity_limit_violations if truth else math.nan,
+        "realtime_factor": statistics.median(factors) if factors else math.nan,
+        "torso_fit_rms_mm": 1e3 * statistics.median(residuals) if residuals else math.nan,
+        "planning_s": statistics.median(record.planning_time for record in records),
+        **metrics,
+    }
+
+
+def report(
+    request: DemoRequest,
+    console: Console,
+    folder: Path,
+    records: list[HandoverRecord],
+    metrics: dict[str, float],
+    files: list[Path],
+    ok: bool,
+) -> None:
+    """Print the table and the numbers, and write the JSON."""
+    console.print()
+    console.print(handover_table(records))
+    numbers = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for key, value in metrics.items():
+        numbers.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    console.print(numbers)
+    console.print(f"everything is in {folder}", highlight=False, soft_wrap=True)
+    phases = [
+        {
+            "number": record.number,
+            "object": record.object_name,
+            "arm": record.arm,
+            "taken": record.taken,
+            "placed": record.placed,
+            "message": record.message,
+            "phases_s": dict(record.phases),
+        }
+        for record in records
+    ]
+    for target in filter(None, (folder / "demo.json", request.json_file)):
+        write_json(target, "demo", ok, request.seed, metrics, files=files, details=phases, folder=str(folder))
+
+
+def run_up(request: UpRequest, console: Console, stop: threading.Event) -> int:
+    """Run the cell until it is told to stop; a node that ends is reported, the others go on."""
+    if "sim_node" in request.nodes:
+        config_file("people", request.person)
+        load_scene(request.scene)
+    config_file("robots", request.robot)
+    folder = output_folder(request.out, "up")
+    plan = launches(request.nodes, request.person, request.robot, request.scene, request.seed, request.speed, folder)
+    began = time.monotonic()
+    with CellProcesses(folder / "log") as processes:
+        for launch in plan.values():
+            processes.start(launch)
+        try:
+            with operating(Interrupt(stop), lambda: check_alive(processes)) as operator:
+                operator.wait_ready(request.nodes, READY_LIMIT)
+        except InterruptedByOperatorError:
+            return 0
+        console.print(f"the cell is ready after {time.monotonic() - began:.1f} s; logs in {folder / 'log'}")
+        console.print(
+            "hand something over:  ros2 action send_goal /handover/execute handover_msgs/action/ExecuteHandover"
+            ' "{object_name: mug}" --feedback',
+            soft_wrap=True,
+            highlight=False,
+        )
+        console.print("stop: Ctrl-C")
+        while not stop.wait(0.5):
+            for node in processes.ended():
+                console.print(
+                    f"[red]{node.launch.node} ended with status {node.status}:[/red] {node.last_line()}\n"
+                    f"  start it again in another terminal: ./handover run {node.launch.node}",
+                    highlight=False,
+                )
+        console.print("stopping ...")
+    return 0
