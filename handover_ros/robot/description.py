@@ -47,6 +47,7 @@ class CollisionDescription(Schema):
     """How the URDF's collision geometry is simplified."""
 
     ignore_links: list[str] = []
+    ignore_pairs: list[tuple[str, str]] = []
     boxes: dict[str, list[Box]] = {}
     margin: Annotated[float, Field(ge=0, le=0.2)] = 0.01
 
@@ -110,9 +111,13 @@ def _check_arm(where: str, arm: ArmDescription) -> None:
     """Raise BadModelError when the numbers of an arm do not fit its joints."""
     count = len(arm.joints)
     if len(arm.acceleration) != count:
-        raise BadModelError(f"{where}.acceleration: must hold {count} numbers, one a joint, holds {len(arm.acceleration)}")
+        raise BadModelError(
+            f"{where}.acceleration: must hold {count} numbers, one a joint, holds {len(arm.acceleration)}"
+        )
     if arm.opening[0] >= arm.opening[1]:
-        raise BadModelError(f"{where}.opening: the closed opening {arm.opening[0]} must be below the open {arm.opening[1]}")
+        raise BadModelError(
+            f"{where}.opening: the closed opening {arm.opening[0]} must be below the open {arm.opening[1]}"
+        )
     if "home" not in arm.postures:
         raise BadModelError(f"{where}.postures: a posture named home is required")
     for posture, displacements in arm.postures.items():

@@ -43,9 +43,21 @@ def forward(
         x, y, z = jacobian[3, i], jacobian[4, i], jacobian[5, i]
         cosine, sine = np.cos(displacements[i]), np.sin(displacements[i])
         rest = 1.0 - cosine
-        update[0, 0], update[0, 1], update[0, 2] = cosine + x * x * rest, x * y * rest - z * sine, x * z * rest + y * sine
-        update[1, 0], update[1, 1], update[1, 2] = y * x * rest + z * sine, cosine + y * y * rest, y * z * rest - x * sine
-        update[2, 0], update[2, 1], update[2, 2] = z * x * rest - y * sine, z * y * rest + x * sine, cosine + z * z * rest
+        update[0, 0], update[0, 1], update[0, 2] = (
+            cosine + x * x * rest,
+            x * y * rest - z * sine,
+            x * z * rest + y * sine,
+        )
+        update[1, 0], update[1, 1], update[1, 2] = (
+            y * x * rest + z * sine,
+            cosine + y * y * rest,
+            y * z * rest - x * sine,
+        )
+        update[2, 0], update[2, 1], update[2, 2] = (
+            z * x * rest - y * sine,
+            z * y * rest + x * sine,
+            cosine + z * z * rest,
+        )
         rotation = update @ rotation
         # The joint's own origin stays where it is: p = o - R r.
         for r in range(3):

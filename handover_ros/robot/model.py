@@ -122,7 +122,9 @@ class RobotModel:
         self._data = model.createData()
         self.joint_names: tuple[str, ...] = tuple(model.names)[1:]
         if model.nq != len(self.joint_names):
-            raise BadModelError(f"{urdf_path}: joints must have one degree of freedom each (continuous ones are not read)")
+            raise BadModelError(
+                f"{urdf_path}: joints must have one degree of freedom each (continuous ones are not read)"
+            )
         self._arms = {name: self._make_arm(name) for name in description.arms}
         self._indices = {
             name: np.array([self._index(joint) for joint in arm.joint_names]) for name, arm in self._arms.items()
