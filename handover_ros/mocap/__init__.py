@@ -1,0 +1,1 @@
+"""Motion capture: recordings and live sources become clean, labelled, stamped marker frames."""
