@@ -40,8 +40,8 @@ class TorsoDefinition(Schema):
     """How the torso frame (x forward, y left, z up, origin between the shoulders) follows from markers.
 
     Either ``template`` gives the markers' positions in the torso frame [m], or the axes are built from the first
-    good frames: y from the mean of ``right`` to the mean of ``left``, z from ``lower`` to ``upper``, x from ``back``
-    to ``front``. Where ``upper``/``lower`` are left out, z is the world's up while the template is built.
+    good frames: z from the mean of ``lower`` to the mean of ``upper`` (the world's up if they are left out), then
+    perpendicular to it y from ``right`` to ``left``, or x from ``back`` to ``front`` if those are left out.
     The origin is the mean of ``origin`` moved by ``origin_offset`` [m, torso frame].
     ``weights`` are relative to 1 = a marker that scatters by ``marker_noise`` [m] about the rigid body.
     """
