@@ -68,7 +68,7 @@ ENABLE_PERIOD = 0.1  # [s] of wall time between two signs of life to the robot
 FEEDBACK_PERIOD = 0.2  # [s] of wall time
 STOPPED_TIME = 0.5  # [s] of wall time the robot is told to stop before a way back may move it again
 JUMP_BACK = 0.5  # [s] the clock may go back without being called a jump
-STARTUP_GRACE = 2.0  # [s] of wall time after the start in which nodes may not have been heard yet
+NODE_WAIT = 5.0  # [s] of wall time after the goal in which a node not heard so far may still come up
 BASELINE_SAMPLES = 30  # joint states that settle what "no pull" feels like
 
 PARAMETERS = (
@@ -102,6 +102,8 @@ class Run:
     goal: ServerGoalHandle
     protocol: HandoverProtocol
     done: Future
+    began: float  # [s] steady wall time
+    awaited: set[str]  # required nodes that were silent when the goal came
     plan: HandoverPlan | None = None
     last_feedback: float = 0.0
     last_phase: Phase | None = None
@@ -129,7 +131,6 @@ class ExecutiveNode(HandoverNode):
         self.last_time = 0.0
         self.stopped_until = float("-inf")
         self.last_enable = 0.0
-        self.started = monotonic()
 
         self.trajectory_publisher = self.create_publisher(JointTrajectory, "robot/joint_trajectory", SENSOR_PUBLISHER)
         self.gripper_publisher = self.create_publisher(GripperCommand, "robot/gripper_command", SENSOR_PUBLISHER)
@@ -218,21 +219,25 @@ class ExecutiveNode(HandoverNode):
         distances = np.linalg.norm(positions[self.hand_markers] - pose[:3], axis=1)
         return float(np.nanmin(distances)) if np.isfinite(distances).any() else float("nan")
 
+    def trouble(self, run: Run, now: float, wall: float) -> tuple[str, ErrorCode]:
+        """Return why the handover cannot go on, if so: a node that does not beat, old data, a clock that jumped."""
+        silent = set(self.liveness.missing(wall))
+        # Nodes that were silent when the goal came (just being started) get a moment to be heard.
+        run.awaited &= silent
+        if gone := sorted(silent - run.awaited):
+            return f"lost {', '.join(gone)}: no heartbeat for {self.liveness.lost_after:g} s", ErrorCode.NODE_LOST
+        if run.awaited and wall - run.began > NODE_WAIT:
+            return f"not running: {', '.join(sorted(run.awaited))}; start it and try again", ErrorCode.NODE_LOST
+        if not run.awaited and (problem := self.robot_state.problem(wall)):
+            return problem, ErrorCode.STALE_DATA
+        if now < self.last_time - JUMP_BACK:
+            return f"the clock jumped back by {self.last_time - now:.1f} s", ErrorCode.STALE_DATA
+        return "", ErrorCode.NONE
+
     def observe(self, run: Run) -> Observation:
         """Return what the protocol needs to know now."""
         now, wall = self.seconds_now(), monotonic()
-        trouble, code = "", ErrorCode.NONE
-        if lost := self.liveness.lost(wall):
-            trouble, code = (
-                f"lost {', '.join(lost)}: no heartbeat for {self.liveness.lost_after:g} s",
-                ErrorCode.NODE_LOST,
-            )
-        elif (missing := self.liveness.missing(wall)) and wall - self.started > STARTUP_GRACE:
-            trouble, code = f"{', '.join(missing)} is not running", ErrorCode.NODE_LOST
-        elif problem := self.robot_state.problem(wall):
-            trouble, code = problem, ErrorCode.STALE_DATA
-        elif now < self.last_time - JUMP_BACK:
-            trouble, code = f"the clock jumped back by {self.last_time - now:.1f} s", ErrorCode.STALE_DATA
+        trouble, code = self.trouble(run, now, wall)
         self.last_time = now
         arm = run.plan.arm if run.plan else ""
         positions, velocities = self.joints.get(arm, (np.empty(0), np.empty(0)))
@@ -268,7 +273,8 @@ class ExecutiveNode(HandoverNode):
             take_limit=self.parameters["take_limit"],
         )
         handover_id = f"{now:.3f}-{next(self.numbers)}"
-        run = Run(handover_id, goal, HandoverProtocol(request.object_name, settings, now), Future())
+        protocol, wall = HandoverProtocol(request.object_name, settings, now), monotonic()
+        run = Run(handover_id, goal, protocol, Future(), wall, set(self.liveness.missing(wall)))
         self.last_time = now
         self.pulled = False
         self.pull.reset()
@@ -417,7 +423,7 @@ class ExecutiveNode(HandoverNode):
             answer = await self.call(self.motion_client, request, run.protocol.settings.plan_limit)
             if not answer.success:
                 raise HandoverError(answer.message, ErrorCode(answer.error_code))
-            opening = self.robot.arm(run.plan.arm).opening_maximum if holding else float("nan")
+            opening = self.robot.arm(run.plan.arm).opening[1] if holding else float("nan")
             run.protocol.return_ready((stage_from_message(request.posture, answer.trajectory, opening),))
         except HandoverError as error:
             run.protocol.plan_failed(error.code, str(error))

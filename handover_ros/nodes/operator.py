@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from handover_msgs.action import ExecuteHandover
+from handover_msgs.msg import Heartbeat, SimulationEvent, SimulationTruth, SkeletonState
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -23,8 +25,6 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from handover_msgs.action import ExecuteHandover
-from handover_msgs.msg import Heartbeat, SimulationEvent, SimulationTruth, SkeletonState
 from handover_ros.errors import HandoverError, StaleDataError
 from handover_ros.nodes.runtime import RECORDER, SENSOR_CONSUMER, SENSOR_PUBLISHER
 
@@ -149,6 +149,16 @@ class Operator:
         finally:
             self.node.destroy_client(client)
 
+    def _on_executor(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call ``function`` in the executor's thread and return its result.
+
+        rclpy's action client must be used from there: an answer that arrives before the caller's thread has noted the
+        request's number is lost.
+        """
+        task = self.executor.create_task(function, *arguments)
+        self.wait(task.done, ANSWER_LIMIT, "the executor")
+        return task.result()
+
     def render(self) -> str:
         """Have the simulator render a picture; return the file's name, empty when it cannot."""
         answer = self.call(Trigger, "sim/render", Trigger.Request())
@@ -165,11 +175,11 @@ class Operator:
             limit: [s] of wall time.
         """
         news: list[ExecuteHandover.Feedback] = []
-        sent = self.handover_client.send_goal_async(
-            goal, feedback_callback=lambda message: news.append(message.feedback)
+        sent = self._on_executor(
+            self.handover_client.send_goal_async, goal, lambda message: news.append(message.feedback)
         )
         handle = self.wait(lambda: sent.done() and sent.result(), ANSWER_LIMIT, "the goal to be accepted")
-        future = handle.get_result_async()
+        future = self._on_executor(handle.get_result_async)
         phase = ""
 
         def look() -> bool:
@@ -184,7 +194,7 @@ class Operator:
         try:
             self.wait(look, limit, f"the handover of {goal.object_name} to end")
         except InterruptedByOperatorError:
-            handle.cancel_goal_async()
+            self.executor.create_task(handle.cancel_goal_async)
             raise
         return future.result().result
 

@@ -27,7 +27,7 @@ from handover_ros.nodes.parameters import ParameterSpec, ParameterTable
 
 HEARTBEAT_PERIOD = 0.2  # [s] wall time
 DIAGNOSTICS_PERIOD = 1.0  # [s] wall time, REP-107
-DISCOVERY_LIMIT = 3.0  # [s] of wall time a service may take to be discovered
+DISCOVERY_LIMIT = 5.0  # [s] of wall time a service may take to be discovered
 POLL_PERIOD = 0.1  # [s] of wall time between two looks
 EXIT_BAD_INPUT = 2
 EXIT_CRASHED = 1

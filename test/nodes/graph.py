@@ -129,6 +129,16 @@ class Graph:
         self.node.create_subscription(message_type, topic, messages.append, qos)
         return messages
 
+    def on_executor(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call ``function`` in the executor's thread and return its result.
+
+        rclpy's action client must be used from there: an answer that arrives before the caller's thread has noted the
+        request's number is lost.
+        """
+        task = self.executor.create_task(function, *arguments)
+        wait_for(task.done, ANSWER, f"{function} to be called")
+        return task.result()
+
     def call(self, service_type: Any, name: str, request: Any, timeout: float = ANSWER) -> Any:
         """Return a service's answer."""
         client = self.node.create_client(service_type, name)
