@@ -38,6 +38,10 @@ class DeviceClock:
     def __init__(self, settings: ClockSettings | None = None) -> None:
         self._settings = settings or ClockSettings()
         self.jumps = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget both clocks; the count of jumps stays."""
         self.drift = 0.0
         self._last_stamp = float("-inf")
         self._last_device = float("nan")

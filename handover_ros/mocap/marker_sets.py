@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from handover_ros.errors import BadModelError
 from handover_ros.geometry import FloatArray
-from handover_ros.resources import config_file
+from handover_ros.resources import config_file, config_names
 from handover_ros.yaml_file import Schema, Vector3, read_yaml
 
 Name = Annotated[str, Field(min_length=1)]
@@ -197,3 +197,17 @@ def match_labels(marker_set: MarkerSet, labels: tuple[str, ...]) -> list[int | N
             )
         found.append(hits[0] if hits else None)
     return found
+
+
+def matching_marker_set(labels: tuple[str, ...]) -> MarkerSet | None:
+    """Return the marker set in ``config/marker_sets`` that knows most of a source's labels, or None if none fits."""
+    best: tuple[int, MarkerSet] | None = None
+    for name in config_names("marker_sets"):
+        marker_set = load_marker_set(name)
+        try:
+            known = sum(index is not None for index in match_labels(marker_set, labels))
+        except BadModelError:
+            continue
+        if best is None or known > best[0]:
+            best = (known, marker_set)
+    return best[1] if best else None

@@ -47,6 +47,13 @@ class MarkerPipeline:
         self._last_stamp = float("-inf")
         self._no_status = np.zeros(len(segments), dtype=np.uint8)
 
+    def restart(self) -> None:
+        """Begin a new stream of the same markers; the counters stay."""
+        self.repair.reset()
+        self.sequence.restart()
+        self.clock.restart()
+        self._last_stamp = float("-inf")
+
     def process(self, sample: MarkerSample) -> MarkerFrame | None:
         """Return the clean frame of a sample, None for a duplicate or a frame that came too late."""
         arrival = self.sequence.classify(sample.device_frame)

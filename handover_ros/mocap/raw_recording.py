@@ -19,7 +19,7 @@ class RawRecording:
 
     Attributes:
         path: The file.
-        labels: The m labels, as written.
+        names: The m labels, as written, e.g. ``SUBJECT:LABEL``.
         rate: Frames per second [Hz].
         units: Unit of length, as written; empty when the file does not say.
         up: "z_up" or "y_up" when the file says so, else empty.
@@ -27,7 +27,7 @@ class RawRecording:
     """
 
     path: Path
-    labels: tuple[str, ...]
+    names: tuple[str, ...]
     rate: float
     units: str
     up: str

@@ -21,7 +21,7 @@ MAX_EXTENT = 30.0  # [m] no marker of one recording is farther from the middle, 
 MIN_EXTENT = 0.05  # [m] the markers of a body are spread at least this far, or the unit is wrong
 
 
-def read_raw(path: Path) -> RawRecording:
+def read_recording(path: Path) -> RawRecording:
     """Return a recording as its file has it; the format follows from the extension.
 
     Raises:
@@ -45,7 +45,7 @@ def label_recording(raw: RawRecording, marker_set: MarkerSet) -> Recording:
             person's.
     """
     try:
-        columns = match_labels(marker_set, raw.labels)
+        columns = match_labels(marker_set, raw.names)
     except BadModelError as error:
         raise BadRecordingError(f"{raw.path}: {error}") from None
     declared = marker_set.content.units
@@ -73,7 +73,7 @@ def load_recording(path: Path | str, marker_set: MarkerSet) -> Recording:
     Raises:
         BadRecordingError: One line that names the file and the field, line or column that is wrong.
     """
-    return label_recording(read_raw(Path(path)), marker_set)
+    return label_recording(read_recording(Path(path)), marker_set)
 
 
 def _check_extent(raw: RawRecording, unit: str, positions: np.ndarray) -> None:

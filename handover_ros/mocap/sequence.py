@@ -25,6 +25,10 @@ class FrameSequence:
 
     def __init__(self) -> None:
         self.lost = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the last frame; the count of lost frames stays."""
         self._last: int | None = None
         self._low: int | None = None
         self._low_count = 0

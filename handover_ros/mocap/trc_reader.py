@@ -48,7 +48,7 @@ def read_trc(path: Path) -> RawRecording:
         raise BadRecordingError(
             f"{path}: line {len(lines)}: holds {len(positions)} frames, its header says {frames}; is it cut short?"
         )
-    return RawRecording(path=path, labels=labels, rate=rate, units=header["Units"], up="", positions=positions)
+    return RawRecording(path=path, names=labels, rate=rate, units=header["Units"], up="", positions=positions)
 
 
 def _header(path: Path, lines: list[str]) -> dict[str, str]:

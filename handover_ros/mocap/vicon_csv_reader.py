@@ -44,7 +44,7 @@ def read_vicon_csv(path: Path) -> RawRecording:
     _check_axes(path, start + 4, labels, lines[start + 3].split(","))
     units = _units(path, start + 5, labels, lines[start + 4].split(","))
     positions = _frames(path, lines, start + HEADER_LINES, labels)
-    return RawRecording(path=path, labels=labels, rate=rate, units=units, up="", positions=positions)
+    return RawRecording(path=path, names=labels, rate=rate, units=units, up="", positions=positions)
 
 
 def _labels(path: Path, line: int, cells: list[str]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_ros.geometry import FloatArray, make_transform
-from handover_ros.mocap.frames import MarkerFrame, MarkerStatus
+from handover_ros.mocap.frames import MarkerFrame, MarkerStatus, Recording, measured_mask
 from handover_ros.mocap.marker_sets import TorsoDefinition
 from handover_ros.skeleton.rigid_fit import RigidFit, fit_rigid_body
 from handover_ros.skeleton.torso_template import (
@@ -118,7 +118,7 @@ class TorsoTracker:
         self.frames += 1
         positions = frame.positions[self._markers.index]
         status = frame.status[self._markers.index]
-        seen = np.isfinite(positions[:, 0])
+        seen = measured_mask(positions)
         if self.template is None and not self._learn(positions, seen & (status != MarkerStatus.BRIDGED)):
             return self._invalid(frame.stamp)
         assert self.template is not None
@@ -202,3 +202,23 @@ def small_rotation_vector(rotation: FloatArray) -> FloatArray:
     if sine > 0.5 or np.trace(rotation) < 1.0:
         return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
     return axis * (np.arcsin(sine) / sine if sine > 1e-9 else 1.0)
+
+
+def track_recording(definition: TorsoDefinition, recording: Recording, max_frames: int) -> list[TorsoEstimate]:
+    """Return the torso in the first ``max_frames`` frames of a recording; the template comes from its first good ones.
+
+    Raises:
+        TemplateError: The recording has fewer than three torso markers.
+    """
+    tracker = TorsoTracker(definition, recording.names)
+    positions = recording.positions[:max_frames]
+    status = np.zeros(len(recording.names), dtype=np.uint8)
+    frames = [
+        MarkerFrame(index / recording.rate, index, index / recording.rate, sample, status)
+        for index, sample in enumerate(positions)
+    ]
+    learning = 0
+    while learning < len(frames) and tracker.template is None:
+        tracker.update(frames[learning])
+        learning += 1
+    return [tracker.update(frame) for frame in frames]
