@@ -11,9 +11,8 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import click
 import typer
 from rich.console import Console
 
@@ -22,6 +21,8 @@ from handover_ros.resources import config_directory
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+# Newer typers carry a click of their own: this is the one in use.
+USAGE_ERROR: Any = typer.BadParameter.__base__
 
 NODES = ("sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node")
 
@@ -139,9 +140,9 @@ def guarded(command: Callable[[], object]) -> int:
         result = command()
     except HandoverError as error:
         return complain(str(error))
-    except click.UsageError as error:
+    except USAGE_ERROR as error:
         return complain(error.format_message())
-    except (click.exceptions.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         return 0
