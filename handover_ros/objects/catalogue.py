@@ -57,6 +57,7 @@ class ObjectModel:
         primitives: The shape, used for collision, for contact and to draw it.
         robot_grasps: Where a two-finger gripper can hold it.
         human_grasps: Where a hand can hold it, written for the right hand.
+        keep_upright: An open container: it must not lean on the way or at the handover.
     """
 
     name: str
@@ -65,6 +66,7 @@ class ObjectModel:
     primitives: tuple[Primitive, ...]
     robot_grasps: tuple[RobotGrasp, ...]
     human_grasps: tuple[TaskSpaceRegion, ...]
+    keep_upright: bool = False
 
 
 class _Pair(Schema):
@@ -128,6 +130,7 @@ class _ObjectFile(Schema):
 
     mass: Annotated[float, Field(gt=0.0, le=2.2)]
     hands: Annotated[int, Field(ge=1, le=2)] = 1
+    keep_upright: bool = False
     colour: Colour = (0.8, 0.8, 0.8, 1.0)
     primitives: Annotated[list[_PrimitiveFile], Field(min_length=1)]
     robot_grasps: Annotated[list[_RobotGraspFile], Field(min_length=1)]
@@ -162,6 +165,7 @@ def load_object(name: str) -> ObjectModel:
             primitives=tuple(_primitive(item, content.colour) for item in content.primitives),
             robot_grasps=tuple(RobotGrasp(_region(item), item.width) for item in content.robot_grasps),
             human_grasps=tuple(_region(item) for item in content.human_grasps),
+            keep_upright=content.keep_upright,
         )
     except BadModelError as error:
         raise BadModelError(f"{path}: {error}") from None

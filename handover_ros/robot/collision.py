@@ -21,7 +21,8 @@ START_RETREAT = 0.003  # [m] how much nearer than at the start a pair may come t
 class Reason(str, Enum):
     """Why a configuration or a pose is not usable."""
 
-    NO_SOLUTION = "out of reach"
+    OUT_OF_REACH = "out of reach"
+    JOINT_LIMITS = "no solution within the joint limits"
     SELF = "self-collision"
     ENVIRONMENT = "collision with the scene"
     OBJECT = "collision with an object"
@@ -142,15 +143,18 @@ class CollisionChecker:
         self.checks += 1
         return not pin.computeCollisions(self._model, self._data, self._solids, self._results, configuration, True)
 
-    def why(self, configuration: FloatArray) -> tuple[Reason, str] | None:
-        """Return why a configuration (nq,) is not free, with a few words, or None when it is free."""
+    def problems(self, configuration: FloatArray) -> list[tuple[Reason, str]]:
+        """Return all pairs nearer than their margin at a configuration (nq,): reason and a few words each."""
         self.checks += 1
         if not pin.computeCollisions(self._model, self._data, self._solids, self._results, configuration, False):
-            return None
-        for i, result in enumerate(self._results.collisionResults):
-            if self._active[i] and result.isCollision():
-                return self._reasons[i], self._label(i)
-        return None
+            return []
+        hits = enumerate(self._results.collisionResults)
+        found = [(self._reasons[i], self._label(i)) for i, hit in hits if self._active[i] and hit.isCollision()]
+        return list(dict.fromkeys(found))
+
+    def why(self, configuration: FloatArray) -> tuple[Reason, str] | None:
+        """Return why a configuration (nq,) is not free, with a few words, or None when it is free."""
+        return next(iter(self.problems(configuration)), None)
 
     def distance(self, configuration: FloatArray, reason: Reason | None = None) -> float:
         """Return the least distance [m] of checked pairs (of one kind) at a configuration (nq,), inf without pairs.

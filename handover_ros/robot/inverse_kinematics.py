@@ -14,8 +14,9 @@ POSE_TOLERANCE = 1e-6  # norm of position [m] and rotation [rad] error
 ITERATIONS = 60
 SEPARATION = 0.2  # [rad] in some joint between two solutions that count as distinct
 LIBRARY_SIZE = 8000  # random configurations whose poses are known
-NEAR_STARTS = 150  # of them, nearest to the target, tried in order
+NEAR_STARTS = 60  # of them, nearest to the target, tried in order
 ROTATION_LENGTH = 0.3  # [m] that one radian weighs in "nearest"
+REACH_SLACK = 0.02  # of the greatest distance found among the library's configurations
 LIMIT_WEIGHT = 0.3  # weight of the distance from the middle of the limits against closeness to the preferred posture
 
 
@@ -37,6 +38,11 @@ class InverseKinematics:
         rng = np.random.default_rng(seed)
         self._library = rng.uniform(self._lower, self._upper, size=(LIBRARY_SIZE, len(self._lower)))
         self._library_poses = kernels.forward_many(*self._chain, self._library)
+        # The last joint but one lies on the axis of the last, so it stands still in the gripper frame: the wrist.
+        self._shoulder = points[0]
+        self._wrist = (np.linalg.inv(tip) @ np.append(points[-2], 1.0))[:3]
+        distances = self._wrist_distances(self._library_poses)
+        self._wrist_range = (1.0 - REACH_SLACK) * distances.min(), (1.0 + REACH_SLACK) * distances.max()
 
     def solve(
         self, world_from_gripper: FloatArray, preferred: npt.ArrayLike | None = None, wanted: int = 8
@@ -53,12 +59,31 @@ class InverseKinematics:
         """
         target = _checked_pose(world_from_gripper)
         posture = self.arm.home if preferred is None else np.asarray(preferred, dtype=float)
+        if not self.within_arm_length(target):
+            return np.empty((0, len(posture)))
         nearest = self._nearest(target)
         starts = np.vstack([posture[None], self.arm.home[None], self._library[nearest]])
         solutions = kernels.search(
             *self._chain, self._lower, self._upper, target, starts, wanted, SEPARATION, ITERATIONS, POSE_TOLERANCE
         )
         return solutions[np.argsort(self.posture_cost(solutions, posture), kind="stable")]
+
+    def gripper_pose(self, displacements: FloatArray) -> FloatArray:
+        """Return ``world_from_gripper`` (4, 4); the compiled twin of ``RobotModel.gripper_pose``."""
+        return np.asarray(
+            kernels.forward(*self._chain, np.ascontiguousarray(displacements), np.empty((6, len(self._lower))))
+        )
+
+    def within_arm_length(self, world_from_gripper: FloatArray) -> bool:
+        """Return whether the wrist is no farther from the shoulder, and no nearer, than the arm can bring it (with slack)."""
+        distance = float(self._wrist_distances(np.asarray(world_from_gripper)))
+        return bool(self._wrist_range[0] <= distance <= self._wrist_range[1])
+
+    def _wrist_distances(self, poses: FloatArray) -> FloatArray:
+        """Return the distance [m] of the wrist from the shoulder at gripper poses (..., 4, 4)."""
+        return np.asarray(
+            np.linalg.norm(poses[..., :3, :3] @ self._wrist + poses[..., :3, 3] - self._shoulder, axis=-1)
+        )
 
     def follow(self, world_from_gripper: FloatArray, start: npt.ArrayLike) -> FloatArray | None:
         """Return the solution (n,) reached from ``start`` [rad] (n,), or None: one step of a Cartesian motion."""

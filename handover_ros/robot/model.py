@@ -218,13 +218,13 @@ class RobotModel:
         """Return the arm as a product of exponentials (Bestick 2017, eq. 2.3), in the world at zero displacements.
 
         Returns:
-            Joint axes (n, 3), points on them [m] (n, 3) and ``world_from_gripper`` (4, 4).
+            Joint axes (n, 3), joint origins [m] (n, 3) and ``world_from_gripper`` (4, 4).
         """
         model = self.pinocchio_model
         pin.framesForwardKinematics(model, self._data, pin.neutral(model))
-        twists = pin.computeJointJacobians(model, self._data, pin.neutral(model))[:, self._indices[arm]]
-        axes = twists[3:].T.copy()
-        points = np.cross(axes, twists[:3].T)
+        axes = pin.computeJointJacobians(model, self._data, pin.neutral(model))[3:, self._indices[arm]].T.copy()
+        joints = [model.getJointId(name) for name in self.arm(arm).joint_names]
+        points = np.array([self._data.oMi[joint].translation for joint in joints])
         return axes, points, np.array(self._data.oMf[self._tips[arm]].homogeneous)
 
     def _whole(self, arm: str, displacements: npt.ArrayLike) -> FloatArray:

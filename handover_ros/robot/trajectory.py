@@ -22,7 +22,7 @@ logging.getLogger("toppra").setLevel(logging.ERROR)
 LIMIT_SHARE = 0.95  # of the limits is used; the rest is for the discretisation
 GRID_STEP = 0.06  # [rad] of path length between grid points
 BLEND_POINTS = 10  # grid intervals in a rounded corner
-SHORTEST_STEP = 1e-4  # [s]
+SHORTEST_PIECE = 1e-5  # [rad] straight pieces between two corners that are shorter are left out
 ON_BORDER = 1e-9  # [rad] of path length
 SAMPLES_BETWEEN = 3  # knots at which the limits are checked in the end
 STILL = 1e-6  # [rad] paths shorter than this do not move
@@ -117,7 +117,7 @@ class _RoundedPath(toppra.interpolator.AbstractGeometricPath):
         directions = offsets / lengths[:, None]
         turns = np.linalg.norm(np.diff(directions, axis=0), axis=1)
         # A parabola over half-width d keeps within d |u2 - u1| / 4 of its corner.
-        widths = np.minimum(4.0 * blend / np.maximum(turns, 1e-9), 0.499 * np.minimum(lengths[:-1], lengths[1:]))
+        widths = np.minimum(4.0 * blend / np.maximum(turns, 1e-9), 0.5 * np.minimum(lengths[:-1], lengths[1:]))
         # Pieces: start of parameter, position, direction, second derivative.
         starts, positions, slopes, bends, self.gridpoints = (
             [0.0],
@@ -131,8 +131,9 @@ class _RoundedPath(toppra.interpolator.AbstractGeometricPath):
         for i, direction in enumerate(directions):
             after = widths[i] if i < len(widths) else 0.0
             straight = lengths[i] - before - after
-            self._grid(s, straight, max(2, int(np.ceil(straight / GRID_STEP))))
-            s += straight
+            if straight > SHORTEST_PIECE:
+                self._grid(s, straight, max(2, int(np.ceil(straight / GRID_STEP))))
+            s += max(straight, 0.0)
             if i < len(widths):
                 starts.append(s)
                 positions.append(waypoints[i + 1] - after * direction)
@@ -140,10 +141,12 @@ class _RoundedPath(toppra.interpolator.AbstractGeometricPath):
                 bends.append((directions[i + 1] - direction) / (2.0 * after))
                 self._grid(s, 2.0 * after, BLEND_POINTS)
                 s += 2.0 * after
-                starts.append(s)
-                positions.append(waypoints[i + 1] + after * directions[i + 1])
-                slopes.append(directions[i + 1])
-                bends.append(0 * direction)
+                ends_at = lengths[i + 1] - after - (widths[i + 1] if i + 1 < len(widths) else 0.0)
+                if ends_at > SHORTEST_PIECE:
+                    starts.append(s)
+                    positions.append(waypoints[i + 1] + after * directions[i + 1])
+                    slopes.append(directions[i + 1])
+                    bends.append(0 * direction)
             before = after
         self._starts, self._end = np.array(starts), s
         self._positions, self._slopes, self._bends = np.stack(positions), np.stack(slopes), np.stack(bends)
@@ -161,8 +164,8 @@ class _RoundedPath(toppra.interpolator.AbstractGeometricPath):
             return np.asarray(self._slopes[piece] + u * self._bends[piece])
         # Where straight line and corner meet, the corner's side counts, so that the limits hold on both.
         before = np.clip(np.searchsorted(self._starts, s - ON_BORDER, side="right") - 1, 0, None)
-        corner = np.any(self._bends[before] != 0.0, axis=-1)
-        return np.asarray(self._bends[np.where(corner, before, piece)])
+        sharper = np.linalg.norm(self._bends[before], axis=-1) > np.linalg.norm(self._bends[piece], axis=-1)
+        return np.asarray(self._bends[np.where(sharper, before, piece)])
 
     @property
     def dof(self) -> int:
@@ -187,7 +190,7 @@ def _timed(path: _RoundedPath, velocity: FloatArray, acceleration: FloatArray) -
     if speeds is None or not np.all(np.isfinite(speeds)):
         raise InfeasibleError("no timing of the path keeps the velocity and acceleration limits")
     steps = 2.0 * np.diff(grid) / np.maximum(speeds[:-1] + speeds[1:], 1e-9)
-    times = np.concatenate([[0.0], np.cumsum(np.maximum(steps, SHORTEST_STEP))])
+    times = np.concatenate([[0.0], np.cumsum(steps)])
     path_accelerations = np.diff(speeds**2) / (2.0 * np.diff(grid))
     path_accelerations = np.append(path_accelerations, path_accelerations[-1])
     slopes, bends = path(grid, 1), path(grid, 2)

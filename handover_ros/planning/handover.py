@@ -1,0 +1,291 @@
+"""Planning a whole handover: which arm, which grasp, which pose, and the motion from where the robot stands to home again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handover_ros.errors import ErrorCode, InfeasibleError, UnknownNameError
+from handover_ros.geometry import FloatArray
+from handover_ros.objects.catalogue import ObjectModel
+from handover_ros.objects.scene import Scene
+from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
+from handover_ros.planning.picking import Pick, picks
+from handover_ros.planning.schemes import Offer, Scheme
+from handover_ros.planning.types import CellSnapshot, HandoverPlan, HandoverRequest, PlannedStage, PlannerSettings
+from handover_ros.robot.model import RobotModel
+from handover_ros.robot.path import Validity, straight_line
+from handover_ros.robot.reach import Reasons
+
+POSTURES_TRIED = 2  # per pick and offer
+PATHS_TRIED = 4  # per offer
+PICKS_PER_ARM = 10
+PERSON_SIDE = 0.5  # cosine between gripper approach and the person's reach above which the robot would be in the person's way
+TURN_WEIGHT = 0.4  # [rad] of joint motion that a gripper pointing to the person instead of across is worth
+
+
+class Search:
+    """What a search has seen so far; its sentence explains a plan that failed."""
+
+    def __init__(self, deadline: float) -> None:
+        self.deadline = deadline
+        self.picking = Reasons()
+        self.offering = Reasons()
+        self.picks = 0
+        self.offers = 0
+        self.paths_failed = 0
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time budget is used up."""
+        return time.monotonic() > self.deadline
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """A pick and an offer that fit together: the arm's posture at the offer, and what it costs."""
+
+    pick: Pick
+    offer: Offer
+    world_from_gripper: FloatArray
+    posture: FloatArray
+    cost: float
+
+
+class HandoverPlanner:
+    """Plans handovers of the objects of a scene.
+
+    Attributes:
+        motion: The planner of single motions, with robot, scene and catalogue.
+        schemes: Known schemes by name.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        scene: Scene,
+        catalogue: Mapping[str, ObjectModel],
+        schemes: Mapping[str, Scheme],
+        settings: PlannerSettings | None = None,
+    ) -> None:
+        self.motion = MotionPlanner(robot, scene, catalogue, settings)
+        self.schemes = schemes
+
+    def plan(self, request: HandoverRequest, snapshot: CellSnapshot) -> HandoverPlan:
+        """Return a plan for a handover, from where the robot stands to its home posture.
+
+        The offers of the scheme are tried in order, each with the arms and grasps that can pick the object up; the first
+        offer with a collision-free way wins, its cheapest combination first.
+
+        Raises:
+            UnknownNameError: No such object, scheme or arm; the message lists those there are.
+            StaleDataError: The scheme needs the person and nobody is tracked.
+            InfeasibleError: The object is not seen, or nothing is reachable; the message counts why.
+        """
+        started = time.monotonic()
+        settings = self.motion.settings
+        search = Search(started + (request.time_budget or settings.time_budget))
+        model = self.motion.object_model(request.object_name)
+        scheme = self._scheme(request.scheme)
+        world_from_object = self.motion.object_pose(snapshot, request.object_name)
+        arms = self._arms(request.arm, world_from_object)
+        offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.world_from_torso)
+        # Arms already between or at something first draw back from it.
+        leads = {arm: self.motion.leave(arm, self.motion.start_of(arm, snapshot), snapshot) for arm in arms}
+        for arm in arms:
+            ready = replace(snapshot, arms={**snapshot.arms, arm: leads[arm][-1]})
+            ways = _Remembered(picks(self.motion, arm, request.object_name, ready, search.picking), PICKS_PER_ARM)
+            for offer in offers:
+                search.offers += 1
+                for combination in self._combinations(offer, ways, ready, search):
+                    stages = self._stages(combination, leads[arm], ready, search)
+                    if stages is not None:
+                        elapsed = time.monotonic() - started
+                        return _plan(request, scheme, combination, stages, elapsed, search)
+                if search.out_of_time or not ways.any():
+                    break
+            if search.out_of_time:
+                break
+        raise self._refusal(request, search, arms)
+
+    def _scheme(self, name: str) -> Scheme:
+        chosen = name or self.motion.settings.default_scheme
+        if chosen not in self.schemes:
+            raise UnknownNameError("scheme", chosen, tuple(self.schemes))
+        return self.schemes[chosen]
+
+    def _arms(self, name: str, world_from_object: FloatArray) -> list[str]:
+        """Return the arms to try: the one asked for, or all, the one whose home is nearest to the object first."""
+        robot = self.motion.robot
+        if name:
+            return [robot.arm(name).name]
+        homes = {arm: robot.gripper_pose(arm, robot.arm(arm).home)[:3, 3] for arm in robot.arm_names}
+        return sorted(homes, key=lambda arm: float(np.linalg.norm(homes[arm] - world_from_object[:3, 3])))
+
+    def _combinations(
+        self, offer: Offer, ways: _Remembered, snapshot: CellSnapshot, search: Search
+    ) -> list[Combination]:
+        """Return the picks with which an arm can be at an offer, the cheapest first."""
+        found: list[Combination] = []
+        settings = self.motion.settings
+        standing = self.motion.standing(snapshot)
+        for pick in ways:
+            if search.out_of_time:
+                break
+            world_from_gripper = offer.world_from_object @ pick.object_from_gripper
+            towards = float(world_from_gripper[:3, 2] @ offer.reach)
+            apart = np.linalg.norm(world_from_gripper[:3, 3] - offer.world_from_hand[:3, 3])
+            if towards > PERSON_SIDE or apart < settings.hand_clearance:
+                continue
+            carried = pick.lift_line[-1]
+            reach = self.motion.reaches[pick.arm]
+            free = reach.solutions(world_from_gripper, pick.carrying, standing, search.offering, carried)
+            for posture in free[:POSTURES_TRIED]:
+                cost = float(np.max(np.abs(posture - carried))) + TURN_WEIGHT * towards
+                found.append(Combination(pick, offer, world_from_gripper, posture, cost))
+        search.picks = max(search.picks, len(ways))
+        return sorted(found, key=lambda combination: combination.cost)[:PATHS_TRIED]
+
+    def _stages(
+        self, chosen: Combination, lead: FloatArray, snapshot: CellSnapshot, search: Search
+    ) -> tuple[PlannedStage, ...] | None:
+        """Return the stages of a combination, or None when one of its ways is blocked."""
+        motion, pick, settings = self.motion, chosen.pick, self.motion.settings
+        arm, reach = pick.arm, self.motion.reaches[pick.arm]
+        standing = motion.standing(snapshot)
+        carrying = reach.validity(pick.carrying, standing)
+        present = self._present(chosen, carrying, search)
+        if present is None:
+            search.paths_failed += 1
+            return None
+        posture = present[-1]
+        given = replace(snapshot, objects={**snapshot.objects, pick.held.name: chosen.offer.world_from_object})
+        letting_go = motion.checker(arm, given, touched=pick.held.name)
+        back = motion.back_off(arm, posture, reach.validity(letting_go, standing))
+        away = reach.validity(motion.checker(arm, given), standing)
+        home = motion.robot.arm(arm).home
+        path_home = None if back is None or not away(back[-1]) else motion.free_path(
+            arm, back[-1], home, away, search.deadline
+        )
+        empty = motion.checker(arm, snapshot)
+        whole = standing.copy()
+        empty.tolerate_start(whole)
+        way = reach.validity(empty, standing)
+        approach = motion.free_path(arm, lead[-1], pick.approach_line[0], way, search.deadline)
+        if back is None or path_home is None or approach is None:
+            search.paths_failed += 1
+            return None
+        opening = motion.robot.arm(arm).opening
+        closed = max(opening[0], pick.grasp.width - settings.squeeze)
+        careful = settings.careful_speed
+        return (
+            PlannedStage("approach", motion.timed(arm, np.vstack([lead, approach[1:]]), None if len(lead) > 1 else way), opening[1]),
+            PlannedStage("grasp", motion.timed(arm, pick.approach_line, None, careful), closed),
+            PlannedStage("lift", motion.timed(arm, pick.lift_line, None, careful)),
+            PlannedStage("present", motion.timed(arm, present, carrying, settings.present_speed)),
+            PlannedStage("retract", motion.timed(arm, back, None, careful)),
+            PlannedStage("home", motion.timed(arm, path_home, away)),
+        )
+
+    def _present(self, chosen: Combination, carrying: Validity, search: Search) -> FloatArray | None:
+        """Return the path from the lifted object to the offer: upright if that is possible."""
+        motion, pick = self.motion, chosen.pick
+        start = pick.lift_line[-1]
+        upright = motion.upright(pick.arm, pick.gripper_from_object, carrying)
+        if upright(start) and upright(chosen.posture):
+            path = motion.free_path(pick.arm, start, chosen.posture, upright, search.deadline, UPRIGHT_SEARCH)
+            if path is not None:
+                return path
+            kinematics = motion.reaches[pick.arm].inverse_kinematics
+            line = straight_line(kinematics, upright, start, kinematics.gripper_pose(start), chosen.world_from_gripper)
+            if line is not None:
+                return line
+        return motion.free_path(pick.arm, start, chosen.posture, carrying, search.deadline)
+
+    def _refusal(self, request: HandoverRequest, search: Search, arms: list[str]) -> InfeasibleError:
+        """Return the error that says what stood in the way."""
+        who = f"{request.object_name} with the {' or '.join(arms)} arm"
+        spent = "; the time budget ran out" if search.out_of_time else ""
+        if not search.picks:
+            width = "" if search.picking.counts else ": no grasp fits the gripper's opening"
+            return InfeasibleError(
+                f"cannot pick up {who}: {search.picking.sentence()}{width}{spent}; move it into reach, clear its surroundings",
+                search.picking.code if search.picking.counts else ErrorCode.NOT_REACHABLE,
+            )
+        if search.paths_failed:
+            return InfeasibleError(
+                f"no collision-free way to hand over {who} was found among {search.paths_failed} tried{spent}; "
+                f"refused at {search.offers} offers: {search.offering.sentence()}; allow more time or clear the way",
+                ErrorCode.NO_PATH,
+            )
+        return InfeasibleError(
+            f"cannot hold {who} at any of {search.offers} offers: {search.offering.sentence()}{spent}; let the person come "
+            "into reach, or choose another scheme",
+            search.offering.code,
+        )
+
+
+class _Remembered:
+    """A lazily made list: what the iterator gives, at most ``most`` of it, made once."""
+
+    def __init__(self, source: Iterator[Pick], most: int) -> None:
+        self._source = source
+        self._most = most
+        self._made: list[Pick] = []
+
+    def __iter__(self) -> Iterator[Pick]:
+        yield from self._made
+        while len(self._made) < self._most:
+            pick = next(self._source, None)
+            if pick is None:
+                self._most = 0
+                return
+            self._made.append(pick)
+            yield pick
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def any(self) -> bool:
+        """Whether there is any."""
+        return next(iter(self), None) is not None
+
+
+def _plan(
+    request: HandoverRequest,
+    scheme: Scheme,
+    chosen: Combination,
+    stages: tuple[PlannedStage, ...],
+    elapsed: float,
+    search: Search,
+) -> HandoverPlan:
+    """Return the plan of a combination with its stages."""
+    offer, pick = chosen.offer, chosen.pick
+    where = np.round(offer.world_from_object[:3, 3], 2).tolist()
+    turned = f", {offer.region} turned to the person" if offer.region else ""
+    place = "the scheme's own position" if offer.nominal else "beside the scheme's position, which was out of reach"
+    refused = search.offering.sentence()
+    text = (
+        f"The {pick.arm} arm takes {request.object_name} by {pick.grasp.region.name} and offers it at {where} m ({place})"
+        f"{turned}. Looked at {search.offers} offers and {search.picks} grasps; refused: {refused}."
+    )
+    return HandoverPlan(
+        object_name=request.object_name,
+        scheme=scheme.name,
+        arm=pick.arm,
+        robot_grasp=pick.grasp.region.name,
+        object_from_gripper=pick.object_from_gripper,
+        world_from_object=offer.world_from_object,
+        world_from_gripper=chosen.world_from_gripper,
+        world_from_goal=request.world_from_goal,
+        facing_region=offer.region,
+        world_from_hand=offer.world_from_hand,
+        nominal=offer.nominal,
+        stages=stages,
+        planning_time=elapsed,
+        candidates=search.offers,
+        explanation=text,
+    )

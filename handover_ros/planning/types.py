@@ -1,0 +1,167 @@
+"""What is asked of the planner, what it knows of the cell at that moment, and what it answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handover_ros.errors import BadRequestError
+from handover_ros.geometry import FloatArray
+from handover_ros.robot.trajectory import Trajectory
+
+ROTATION_TOLERANCE = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class HandoverRequest:
+    """A handover to be planned.
+
+    Attributes:
+        object_name: As in the object catalogue.
+        scheme: As in ``config/schemes``; empty: the planner's default.
+        arm: Arm of the robot; empty: the planner chooses.
+        time_budget: Wall time for the search [s]; 0: the planner's default.
+        world_from_goal: Object pose to which the person shall bring it, or None. Shape (4, 4).
+    """
+
+    object_name: str
+    scheme: str = ""
+    arm: str = ""
+    time_budget: float = 0.0
+    world_from_goal: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not np.isfinite(self.time_budget) or self.time_budget < 0.0:
+            raise BadRequestError(f"time_budget: must be 0 (default) or positive seconds, got {self.time_budget}")
+        if self.world_from_goal is not None:
+            check_transform(self.world_from_goal, "goal")
+
+
+@dataclass(frozen=True, eq=False)
+class CellSnapshot:
+    """The cell as it is when the plan is made.
+
+    Attributes:
+        arms: Displacements [rad] of each arm's joints. Shape (n,).
+        objects: ``world_from_object`` of each object that is seen. Shape (4, 4).
+        world_from_torso: The person's torso frame, or None when nobody is tracked. Shape (4, 4).
+    """
+
+    arms: Mapping[str, FloatArray]
+    objects: Mapping[str, FloatArray] = field(default_factory=dict)
+    world_from_torso: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check the poses."""
+        for name, pose in self.objects.items():
+            check_transform(pose, f"pose of {name}")
+        if self.world_from_torso is not None:
+            check_transform(self.world_from_torso, "torso pose")
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedStage:
+    """One piece of robot motion, then a gripper command.
+
+    Attributes:
+        name: approach, grasp, lift, present, retract, home.
+        trajectory: The motion of the arm.
+        opening: Gripper opening [m] commanded after the motion; NaN: leave it.
+    """
+
+    name: str
+    trajectory: Trajectory
+    opening: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class HandoverPlan:
+    """A planned handover.
+
+    Attributes:
+        object_name: The object.
+        scheme: The scheme that chose the pose.
+        arm: The robot's arm.
+        robot_grasp: Name of the robot's grasp region.
+        object_from_gripper: Shape (4, 4).
+        world_from_object: Object pose at which it is offered. Shape (4, 4).
+        world_from_gripper: Gripper pose there. Shape (4, 4).
+        world_from_goal: Where the person shall bring it, or None.
+        facing_region: Human grasp region turned to the person; empty: none.
+        world_from_hand: The person's hand there. Shape (4, 4).
+        nominal: Whether the scheme's own position was reachable, not only one beside it.
+        stages: approach, grasp, lift, present, retract, home.
+        planning_time: Wall time [s].
+        candidates: Handover poses looked at.
+        explanation: Sentences for a person.
+    """
+
+    object_name: str
+    scheme: str
+    arm: str
+    robot_grasp: str
+    object_from_gripper: FloatArray
+    world_from_object: FloatArray
+    world_from_gripper: FloatArray
+    world_from_goal: FloatArray | None
+    facing_region: str
+    world_from_hand: FloatArray
+    nominal: bool
+    stages: tuple[PlannedStage, ...]
+    planning_time: float
+    candidates: int
+    explanation: str
+
+    def stage(self, name: str) -> PlannedStage:
+        """Return the stage of a name; KeyError when there is none."""
+        return {stage.name: stage for stage in self.stages}[name]
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """How the planner works. Lengths [m], angles [rad], times [s].
+
+    Attributes:
+        default_scheme: Scheme of a request that names none.
+        time_budget: Wall time of a search whose request names none.
+        pregrasp_distance: From where the gripper comes straight along its approach direction.
+        lift_height: How high the object is lifted straight up before it is carried.
+        retreat_distance: How far the gripper backs off straight after it let go.
+        person_distance: Distance every link of the robot keeps from the person's trunk and head.
+        held_person_distance: Distance the object in the hand keeps from them.
+        hand_clearance: Least distance from the robot's fingertips to where the person's hand is expected.
+        tilt_limit: How far a carried object leans, if that is possible at all.
+        squeeze: How much narrower than the object the gripper is commanded to close.
+        blend: How far from the corners of a path the arm may pass [rad].
+        present_speed: Share of the robot's planning speed while it brings the object to the person.
+        careful_speed: The same for the straight pieces next to objects.
+        seed: Of the random searches; the same request at the same state gives the same plan.
+    """
+
+    default_scheme: str = "relative"
+    time_budget: float = 8.0
+    pregrasp_distance: float = 0.10
+    lift_height: float = 0.12
+    retreat_distance: float = 0.12
+    person_distance: float = 0.15
+    held_person_distance: float = 0.10
+    hand_clearance: float = 0.05
+    tilt_limit: float = 0.5
+    squeeze: float = 0.008
+    blend: float = 0.06
+    present_speed: float = 0.8
+    careful_speed: float = 0.4
+    seed: int = 0
+
+
+def check_transform(transform: FloatArray, what: str) -> None:
+    """Raise BadRequestError unless ``transform`` is a finite rigid transform (4, 4)."""
+    array = np.asarray(transform, dtype=float)
+    if array.shape != (4, 4) or not np.all(np.isfinite(array)):
+        raise BadRequestError(f"{what}: must be a finite pose, got {array.tolist()}")
+    rotation = array[:3, :3]
+    if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise BadRequestError(f"{what}: the rotation is not orthonormal (a quaternion must have length 1)")
