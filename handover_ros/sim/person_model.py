@@ -166,11 +166,12 @@ def _joint(
     """Add a joint and its position servo ``(stiffness, damping, armature)``, scaled with the body mass."""
     slide = name in TORSO_JOINTS[:3]
     stiffness, damping, armature = (value * scale for value in servo)
+    unit = np.rad2deg(1.0) if spec.compiler.degree and not slide else 1.0
     body.add_joint(
         name=f"{PREFIX}{name}",
         type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
         axis=np.asarray(axis, dtype=float),
-        range=np.asarray(limits, dtype=float),
+        range=unit * np.asarray(limits, dtype=float),
         limited=mujoco.mjtLimited.mjLIMITED_TRUE,
         armature=armature,
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
 
 from handover_ros.geometry import FloatArray
 from handover_ros.sim.person_spec import PersonSpec
@@ -34,7 +37,13 @@ class Movement:
         self.target = target
         change, drift = target - start, velocity * duration
         # start + drift s + c3 s^3 + c4 s^4 + c5 s^5 with the end at rest; no acceleration at either end.
-        self._coefficients = (start, drift, 10.0 * change - 6.0 * drift, 8.0 * drift - 15.0 * change, 6.0 * change - 3.0 * drift)
+        self._coefficients = (
+            start,
+            drift,
+            10.0 * change - 6.0 * drift,
+            8.0 * drift - 15.0 * change,
+            6.0 * change - 3.0 * drift,
+        )
 
     def position(self, time: float) -> FloatArray:
         """Return where it is at ``time`` [s]."""
@@ -122,3 +131,16 @@ class Sway:
     def offset(self, time: float) -> FloatArray:
         """Return the sway of the torso coordinates (6,) [m], [rad] at ``time`` [s]."""
         return (self._amplitude * np.sin(self._frequency * time + self._phase)).sum(axis=1)
+
+
+def blend_poses(poses: list[FloatArray], counts: list[int]) -> FloatArray:
+    """Return a path of poses (k, 4, 4) through key poses, with so many steps between each two of them."""
+    path = [poses[0][None]]
+    for (first, second), count in zip(pairwise(poses), counts, strict=True):
+        share = np.linspace(0.0, 1.0, count + 1)[1:]
+        part = np.tile(np.eye(4), (count, 1, 1))
+        turn = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([first[:3, :3], second[:3, :3]])))
+        part[:, :3, :3] = turn(share).as_matrix()
+        part[:, :3, 3] = first[:3, 3] + share[:, None] * (second[:3, 3] - first[:3, 3])
+        path.append(part)
+    return np.concatenate(path)
