@@ -49,7 +49,7 @@ setup(
         "rosbags>=0.10",
         "pillow>=10.0",
     ],
-    extras_require={"test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8", "domain-coordinator"]},
+    extras_require={"test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8"]},
     zip_safe=True,
     maintainer="The handover_ros maintainers",
     maintainer_email="maintainers@handover-cell.org",
