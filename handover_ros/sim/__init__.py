@@ -1,0 +1,8 @@
+"""The simulated cell in MuJoCo: robot, person, objects and motion-capture cameras.
+
+MuJoCo chooses how to draw when it is imported: without a screen, through EGL, unless the environment says otherwise.
+"""
+
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")

@@ -1,0 +1,344 @@
+"""The whole cell as one MuJoCo model: floor, tables, objects, robot, person, lights and cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_ros.errors import BadModelError
+from handover_ros.geometry import FloatArray
+from handover_ros.objects.catalogue import ObjectModel, Primitive
+from handover_ros.objects.scene import Camera, Scene, SceneBox
+from handover_ros.robot.model import RobotModel
+from handover_ros.sim.person_model import PersonSpec, add_person
+from handover_ros.sim.robot_body import FIXED_BIT, OBJECT_BIT, ROBOT_BIT, add_robot
+
+OBJECT_PREFIX = "object/"
+SCENE_PREFIX = "scene/"
+HANDS = ("left", "right")
+SCENE_GROUP = 0
+LONGEST_TIMESTEP = 0.005  # [s] the servos' fastest pole asks for less than this
+PICTURE_SIZE = (1280, 960)  # largest picture [pixels]
+# Welds of hands and fingers: stiff (time constant 8 ms), critically damped.
+WELD_SOLREF = (0.008, 1.0)
+WELD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+OBJECT_FRICTION = (0.9, 0.01, 0.0002)
+DECORATION_THICKNESS = 0.002  # [m] thinner solids are drawn only
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointGroup:
+    """Places of some joints in MuJoCo's arrays, each of shape (n,): positions, velocities and actuators."""
+
+    names: tuple[str, ...]
+    positions: IntArray
+    velocities: IntArray
+    actuators: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A compiled cell and where things are in it.
+
+    Attributes:
+        model: The MuJoCo model.
+        scene: What it was built from.
+        robot: The robot's kinematic model.
+        objects: Objects of the scene by name.
+        person: The person, None: nobody.
+        arms: Arm name to its joints.
+        fingers: Arm name to its finger joints.
+        object_bodies: Object name to body number.
+        object_joints: Object name to its free joint's first place in qpos and in qvel.
+        gripper_sites: Arm name to the site of its gripper frame.
+        hand_sites: Hand (left, right) to the site of its grip frame; empty without a person.
+        gripper_welds: (arm, object) to equality number.
+        hand_welds: (hand, object) to equality number.
+    """
+
+    model: mujoco.MjModel
+    scene: Scene
+    robot: RobotModel
+    objects: Mapping[str, ObjectModel]
+    person: PersonSpec | None
+    arms: Mapping[str, JointGroup]
+    fingers: Mapping[str, JointGroup]
+    object_bodies: Mapping[str, int]
+    object_joints: Mapping[str, tuple[int, int]]
+    gripper_sites: Mapping[str, int]
+    hand_sites: Mapping[str, int]
+    gripper_welds: Mapping[tuple[str, str], int]
+    hand_welds: Mapping[tuple[str, str], int]
+
+
+def build_world(
+    scene: Scene,
+    robot: RobotModel,
+    objects: Mapping[str, ObjectModel],
+    person: PersonSpec | None,
+    timestep: float = 0.002,
+) -> World:
+    """Return the cell of a scene.
+
+    Args:
+        scene: Tables, placements, cameras.
+        robot: The robot.
+        objects: Models of (at least) the objects that the scene places.
+        person: Who stands at ``scene.person_pose``; None: nobody.
+        timestep: Physics step [s].
+
+    Raises:
+        BadModelError: A mesh cannot be used, the time step is out of range, or MuJoCo refuses the model.
+    """
+    if not 0.0 < timestep <= LONGEST_TIMESTEP:
+        raise BadModelError(
+            f"physics time step {timestep} s is out of range; use more than 0 and at most {LONGEST_TIMESTEP} s"
+        )
+    spec = mujoco.MjSpec()
+    spec.compiler.balanceinertia = True
+    spec.compiler.degree = False
+    spec.option.timestep = timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    _add_surroundings(spec, scene)
+    add_robot(spec, robot)
+    placed = {name: objects[name] for name in scene.placements}
+    for name, item in placed.items():
+        _add_object(spec, item, scene.placements[name])
+    if person is not None:
+        add_person(spec, person, scene.person_pose)
+    _add_welds(spec, robot, tuple(placed), person is not None)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise BadModelError(f"scene {scene.name!r}: MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+    return _index(model, scene, robot, placed, person)
+
+
+def _add_surroundings(spec: mujoco.MjSpec, scene: Scene) -> None:
+    """Add floor, boxes, lights, sky and cameras."""
+    visual = spec.visual
+    visual.headlight.ambient = [0.32, 0.32, 0.34]
+    visual.headlight.diffuse = [0.22, 0.22, 0.22]
+    visual.headlight.specular = [0.0, 0.0, 0.0]
+    visual.quality.shadowsize = 4096
+    visual.quality.offsamples = 4
+    getattr(visual, "global").offwidth, getattr(visual, "global").offheight = PICTURE_SIZE
+    visual.map.znear, visual.map.zfar = 0.02, 40.0
+    spec.stat.center, spec.stat.extent = [0.8, 0.0, 0.9], 2.5
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.86, 0.89, 0.93],
+        rgb2=[0.62, 0.67, 0.74],
+        width=256,
+        height=1536,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.74, 0.75, 0.76],
+        rgb2=[0.70, 0.71, 0.73],
+        markrgb=[0.62, 0.63, 0.65],
+        width=512,
+        height=512,
+    )
+    floor = spec.add_material(
+        name="floor", texrepeat=[1.0, 1.0], texuniform=True, reflectance=0.06, specular=0.1, shininess=0.2
+    )
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    spec.worldbody.add_geom(
+        name=f"{SCENE_PREFIX}floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[8.0, 8.0, 0.1],
+        material="floor",
+        group=SCENE_GROUP,
+        contype=FIXED_BIT,
+        conaffinity=ROBOT_BIT | OBJECT_BIT,
+    )
+    for box in scene.boxes:
+        _add_box(spec, box)
+    spec.worldbody.add_light(
+        name="key",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[2.5, -2.0, 4.5],
+        dir=[-0.42, 0.42, -0.80],
+        castshadow=True,
+        diffuse=[0.62, 0.60, 0.56],
+        specular=[0.35, 0.35, 0.35],
+    )
+    spec.worldbody.add_light(
+        name="fill",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[1.0, 3.0, 3.5],
+        dir=[-0.1, -0.7, -0.7],
+        castshadow=False,
+        diffuse=[0.20, 0.22, 0.26],
+        specular=[0.0, 0.0, 0.0],
+    )
+    for camera in scene.cameras:
+        element = spec.worldbody.add_camera(
+            name=camera.name, pos=camera.position, fovy=float(np.degrees(camera.field_of_view))
+        )
+        element.quat = _looking_at(camera)
+
+
+def _add_box(spec: mujoco.MjSpec, box: SceneBox) -> None:
+    """Add a fixed box of the scene."""
+    material = f"{SCENE_PREFIX}{box.name}"
+    spec.add_material(name=material, rgba=list(box.colour), specular=0.15, shininess=0.3)
+    geom = spec.worldbody.add_geom(
+        name=f"{SCENE_PREFIX}{box.name}",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[length / 2.0 for length in box.size],
+        material=material,
+        group=SCENE_GROUP,
+        contype=FIXED_BIT,
+        conaffinity=ROBOT_BIT | OBJECT_BIT,
+    )
+    geom.pos, geom.quat = box.world_from_box[:3, 3], _quaternion(box.world_from_box)
+
+
+def _add_object(spec: mujoco.MjSpec, item: ObjectModel, world_from_object: FloatArray) -> None:
+    """Add an object that moves freely; its mass is spread over its solids by volume."""
+    body = spec.worldbody.add_body(name=f"{OBJECT_PREFIX}{item.name}")
+    body.pos, body.quat = world_from_object[:3, 3], _quaternion(world_from_object)
+    joint = body.add_freejoint()
+    joint.name = f"{OBJECT_PREFIX}{item.name}/free"
+    volumes = np.array([primitive_volume(primitive) for primitive in item.primitives])
+    for index, primitive in enumerate(item.primitives):
+        drawn_only = min(primitive.size) < DECORATION_THICKNESS
+        colour = primitive.colour
+        material = f"{OBJECT_PREFIX}{item.name}/{index}"
+        spec.add_material(name=material, rgba=list(colour), specular=0.4, shininess=0.5)
+        geom = body.add_geom(
+            name=f"{OBJECT_PREFIX}{item.name}/{index}",
+            material=material,
+            group=SCENE_GROUP,
+            mass=float(item.mass * volumes[index] / volumes.sum()),
+            contype=0 if drawn_only else OBJECT_BIT,
+            conaffinity=0 if drawn_only else ROBOT_BIT | OBJECT_BIT | FIXED_BIT,
+            friction=OBJECT_FRICTION,
+            condim=4,
+        )
+        geom.type, geom.size = _mujoco_solid(primitive)
+        geom.pos, geom.quat = primitive.object_from_primitive[:3, 3], _quaternion(primitive.object_from_primitive)
+
+
+def _add_welds(spec: mujoco.MjSpec, robot: RobotModel, objects: tuple[str, ...], with_person: bool) -> None:
+    """Add one inactive weld for each holder and object."""
+    holders = [f"robot/{robot.pinocchio_model.names[_tip_joint(robot, arm)]}" for arm in robot.arm_names]
+    names = [f"gripper/{arm}" for arm in robot.arm_names]
+    if with_person:
+        holders += [f"person/{hand}_hand" for hand in HANDS]
+        names += [f"hand/{hand}" for hand in HANDS]
+    for name, body in zip(names, holders, strict=True):
+        for item in objects:
+            weld = spec.add_equality(
+                name=f"{name}/{item}",
+                type=mujoco.mjtEq.mjEQ_WELD,
+                objtype=mujoco.mjtObj.mjOBJ_BODY,
+                name1=body,
+                name2=f"{OBJECT_PREFIX}{item}",
+                active=False,
+                solref=WELD_SOLREF,
+                solimp=WELD_SOLIMP,
+            )
+            weld.data[10] = 1.0  # weight of the orientation
+
+
+def _index(
+    model: mujoco.MjModel,
+    scene: Scene,
+    robot: RobotModel,
+    objects: Mapping[str, ObjectModel],
+    person: PersonSpec | None,
+) -> World:
+    """Return the world with the places of all things looked up."""
+    hands = HANDS if person is not None else ()
+    object_joints = {}
+    for name in objects:
+        joint = model.joint(f"{OBJECT_PREFIX}{name}/free").id
+        object_joints[name] = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+    return World(
+        model=model,
+        scene=scene,
+        robot=robot,
+        objects=objects,
+        person=person,
+        arms={arm: joint_group(model, robot.arm(arm).joint_names) for arm in robot.arm_names},
+        fingers={arm: joint_group(model, robot.arm(arm).finger_joints) for arm in robot.arm_names},
+        object_bodies={name: model.body(f"{OBJECT_PREFIX}{name}").id for name in objects},
+        object_joints=object_joints,
+        gripper_sites={arm: model.site(f"robot/{arm}_gripper").id for arm in robot.arm_names},
+        hand_sites={hand: model.site(f"person/{hand}_hand_grip").id for hand in hands},
+        gripper_welds={(a, o): model.equality(f"gripper/{a}/{o}").id for a in robot.arm_names for o in objects},
+        hand_welds={(h, o): model.equality(f"hand/{h}/{o}").id for h in hands for o in objects},
+    )
+
+
+def joint_group(model: mujoco.MjModel, names: tuple[str, ...], prefix: str = "robot/") -> JointGroup:
+    """Return the places of actuated joints with one degree of freedom each."""
+    joints = [model.joint(prefix + name).id for name in names]
+    return JointGroup(
+        names=tuple(names),
+        positions=model.jnt_qposadr[joints].astype(np.int64),
+        velocities=model.jnt_dofadr[joints].astype(np.int64),
+        actuators=np.array([model.actuator(prefix + name).id for name in names], dtype=np.int64),
+    )
+
+
+def primitive_volume(primitive: Primitive) -> float:
+    """Return the volume [m3] of a solid."""
+    size = primitive.size
+    if primitive.type == "box":
+        return float(np.prod(size))
+    ball = 4.0 / 3.0 * np.pi * size[0] ** 3
+    if primitive.type == "sphere":
+        return float(ball)
+    return float(np.pi * size[0] ** 2 * size[1] + (ball if primitive.type == "capsule" else 0.0))
+
+
+def _mujoco_solid(primitive: Primitive) -> tuple[mujoco.mjtGeom, list[float]]:
+    """Return MuJoCo's type and half sizes of a solid."""
+    size = primitive.size
+    if primitive.type == "box":
+        return mujoco.mjtGeom.mjGEOM_BOX, [length / 2.0 for length in size]
+    if primitive.type == "sphere":
+        return mujoco.mjtGeom.mjGEOM_SPHERE, [size[0], 0.0, 0.0]
+    kind = mujoco.mjtGeom.mjGEOM_CYLINDER if primitive.type == "cylinder" else mujoco.mjtGeom.mjGEOM_CAPSULE
+    return kind, [size[0], size[1] / 2.0, 0.0]
+
+
+def _tip_joint(robot: RobotModel, arm: str) -> int:
+    """Return the number of the joint whose body carries an arm's gripper frame."""
+    model = robot.pinocchio_model
+    return int(model.frames[model.getFrameId(robot.arm(arm).tip_frame)].parentJoint)
+
+
+def _quaternion(transform: FloatArray) -> list[float]:
+    """Return a rotation as MuJoCo's quaternion w, x, y, z."""
+    x, y, z, w = Rotation.from_matrix(transform[:3, :3]).as_quat()
+    return [float(w), float(x), float(y), float(z)]
+
+
+def _looking_at(camera: Camera) -> list[float]:
+    """Return MuJoCo's quaternion of a camera (it looks along -z, x to the right)."""
+    backward = np.array(camera.position) - np.array(camera.target)
+    backward /= np.linalg.norm(backward)
+    up = np.array([0.0, 0.0, 1.0]) if abs(backward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(up, backward)
+    right /= np.linalg.norm(right)
+    rotation = np.eye(4)
+    rotation[:3, :3] = np.column_stack([right, np.cross(backward, right), backward])
+    return _quaternion(rotation)
