@@ -15,6 +15,7 @@ from handover_ros.robot.shapes import Solid
 
 SELF_SAMPLES = 300
 ALWAYS_SHARE = 0.95  # share of random configurations in which a pair collides to be called always colliding
+BESIDE_MARGIN = 0.003  # [m] kept by an object that is lifted from between others
 START_RETREAT = 0.003  # [m] how much nearer than at the start a pair may come that began within its margin
 
 
@@ -23,6 +24,7 @@ class Reason(str, Enum):
 
     OUT_OF_REACH = "out of reach"
     JOINT_LIMITS = "no solution within the joint limits"
+    BLOCKED = "blocked"
     SELF = "self-collision"
     ENVIRONMENT = "collision with the scene"
     OBJECT = "collision with an object"
@@ -182,12 +184,16 @@ class CollisionChecker:
     def ignore_support(self, configuration: FloatArray) -> None:
         """Drop the pairs of held object and scene or other objects that are within their margin at ``configuration``.
 
-        Used for the short straight lift off, or way down to, the surface that carries the object.
+        Used for the short straight lift off, or way down to, the surface that carries the object; what stands beside it may
+        come as near as ``BESIDE_MARGIN``.
         """
         distances = self._distances(configuration)
         for i in self._held_scene_pairs:
             if distances[i] < self._margins[i]:
                 self._drop(i)
+            else:
+                self._margins[i] = min(self._margins[i], BESIDE_MARGIN)
+                self._results.collisionRequests[i].security_margin = self._margins[i]
 
     def _distances(self, configuration: FloatArray) -> list[float]:
         pin.computeDistances(self._model, self._data, self._solids, self._results, configuration)

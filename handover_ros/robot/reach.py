@@ -14,6 +14,7 @@ from handover_ros.robot.model import RobotModel
 from handover_ros.robot.path import Validity
 
 SOLUTIONS = 6
+KINEMATIC = (Reason.OUT_OF_REACH, Reason.JOINT_LIMITS, Reason.BLOCKED)
 
 
 class Reasons:
@@ -36,7 +37,7 @@ class Reasons:
         totals = self.totals()
         if not totals:
             return ErrorCode.NO_PATH
-        collisions = sum(n for reason, n in totals.items() if reason not in (Reason.OUT_OF_REACH, Reason.JOINT_LIMITS))
+        collisions = sum(n for reason, n in totals.items() if reason not in KINEMATIC)
         return ErrorCode.IN_COLLISION if collisions else ErrorCode.NOT_REACHABLE
 
     def totals(self) -> Counter[Reason]:
