@@ -87,7 +87,10 @@ def write_json(
     files: Sequence[Path] = (),
     **more: object,
 ) -> None:
-    """Write a command's result in the one stable shape, whole or not at all; numbers that are not finite become null."""
+    """Write a command's result in the one stable shape, whole or not at all.
+
+    Numbers that are not finite become null.
+    """
     document = {
         "command": command,
         "ok": ok,

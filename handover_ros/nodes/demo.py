@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from handover_msgs.action import ExecuteHandover
+from handover_msgs.srv import ResetSimulation
 from rich.console import Console
 from rich.table import Table
 
-from handover_msgs.action import ExecuteHandover
-from handover_msgs.srv import ResetSimulation
 from handover_ros.cell.processes import CellProcesses, NodeLaunch
 from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, write_json
 from handover_ros.errors import BadRecordingError, BadRequestError, HandoverError, UnknownNameError

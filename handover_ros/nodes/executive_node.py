@@ -332,7 +332,7 @@ class ExecutiveNode(HandoverNode):
     def tick(self) -> None:
         """Step the protocol and keep the robot enabled while a handover is under way."""
         wall, run = monotonic(), self.run
-        if run is not None and not run.protocol.finished:
+        if run is not None and not run.done.done():
             if run.goal.is_cancel_requested and not run.cancelled:
                 run.cancelled = True
                 run.protocol.cancel()

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, write_json, write_whole
+
+RECORDS = [
+    HandoverRecord(1, "mug", "relative", "left", True, True, True, "fine", (("planning", 0.5), ("fetching", 6.1)), 0.4),
+    HandoverRecord(2, "glass", "constant", "", False, False, False, "out of reach", (("planning", 0.2),)),
+]
+
+
+def test_json_has_the_stable_shape_and_no_nan(tmp_path: Path):
+    write_json(tmp_path / "a" / "r.json", "demo", True, 3, {"x": math.nan, "n": 2, "y": 0.5}, files=[Path("p.png")])
+    document = json.loads((tmp_path / "a" / "r.json").read_text())
+    assert {"command", "ok", "seed", "versions", "metrics", "claims", "files"} <= set(document)
+    assert document["metrics"] == {"x": None, "n": 2, "y": 0.5}
+    assert document["seed"] == 3
+    assert "numpy" in document["versions"]
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path):
+    path = tmp_path / "f.txt"
+    write_whole(path, "first")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(path, "second \ud800")
+    assert path.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_table_names_every_handover_and_phase():
+    console = Console(width=160, record=True)
+    console.print(handover_table(RECORDS))
+    text = console.export_text()
+    for word in ("mug", "glass", "planning", "fetching", "6.1", "yes", "no"):
+        assert word in text
+
+
+def test_the_picture_of_the_phases_is_drawn(tmp_path: Path):
+    path = draw_phases(RECORDS, tmp_path / "phases.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 5000
