@@ -12,6 +12,7 @@ from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.regions import TaskSpaceRegion
 
 LEAST_HORIZONTAL = 0.6  # share of the palm's approach that must be horizontal to have a direction to face
+LEAST_TURN = 0.65  # [rad] between two ways to turn the same region
 GRID_LENGTH = 0.05  # [m]
 GRID_ANGLE = 0.4  # [rad]
 
@@ -73,16 +74,20 @@ def turned_object(
 
 
 def _region_facings(region: TaskSpaceRegion) -> list[Facing]:
-    """Return how to turn a region to the person: by its middle if that is taken from the side, else by its nearest such pose."""
+    """Return how to turn a region to the person: by its middle if that is taken from the side, else by its nearest such pose.
+
+    A wide region, such as the body of a glass, can be turned in several ways; they follow, ever farther from the first.
+    """
     middle = region.centre()
     poses = np.concatenate([middle[None], region.grid(GRID_LENGTH, GRID_ANGLE)])
-    horizontal = np.hypot(poses[:, 0, 2], poses[:, 1, 2])
-    usable = np.flatnonzero(horizontal >= LEAST_HORIZONTAL)
-    if not len(usable):
-        return []
-    turned = [np.linalg.norm(poses[i, :3, :3] - middle[:3, :3]) for i in usable]
-    pose = poses[usable[int(np.argmin(turned))]]
-    return [Facing(region.name, -float(np.arctan2(pose[1, 2], pose[0, 2])), pose)]
+    poses = poses[np.hypot(poses[:, 0, 2], poses[:, 1, 2]) >= LEAST_HORIZONTAL]
+    turned = np.linalg.norm((poses - middle)[:, :3, :3], axis=(1, 2))
+    found: list[Facing] = []
+    for pose in poses[np.argsort(turned, kind="stable")]:
+        yaw = -float(np.arctan2(pose[1, 2], pose[0, 2]))
+        if all(abs(np.angle(np.exp(1j * (yaw - other.yaw)))) > LEAST_TURN for other in found):
+            found.append(Facing(region.name, yaw, pose))
+    return found
 
 
 def _two_handed(model: ObjectModel) -> tuple[Facing, ...]:

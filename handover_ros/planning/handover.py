@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,16 +13,17 @@ from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.scene import Scene
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
-from handover_ros.planning.picking import Pick, picks
+from handover_ros.planning.picking import Pick, Picking
 from handover_ros.planning.schemes import Offer, Scheme
 from handover_ros.planning.types import CellSnapshot, HandoverPlan, HandoverRequest, PlannedStage, PlannerSettings
+from handover_ros.robot.collision import Reason
 from handover_ros.robot.model import RobotModel
 from handover_ros.robot.path import Validity, straight_line
 from handover_ros.robot.reach import Reasons
 
 POSTURES_TRIED = 2  # per pick and offer
 PATHS_TRIED = 4  # per offer
-PICKS_PER_ARM = 10
+COMBINATIONS_KEPT = 8
 PERSON_SIDE = 0.5  # cosine between gripper approach and the person's reach above which the robot would be in the person's way
 TURN_WEIGHT = 0.4  # [rad] of joint motion that a gripper pointing to the person instead of across is worth
 
@@ -97,18 +98,17 @@ class HandoverPlanner:
         leads = {arm: self.motion.leave(arm, self.motion.start_of(arm, snapshot), snapshot) for arm in arms}
         for arm in arms:
             ready = replace(snapshot, arms={**snapshot.arms, arm: leads[arm][-1]})
-            ways = _Remembered(picks(self.motion, arm, request.object_name, ready, search.picking), PICKS_PER_ARM)
+            picking = Picking(self.motion, arm, request.object_name, ready, search.picking)
             for offer in offers:
                 search.offers += 1
-                for combination in self._combinations(offer, ways, ready, search):
+                for combination in self._combinations(offer, picking, ready, search):
                     stages = self._stages(combination, leads[arm], ready, search)
                     if stages is not None:
                         elapsed = time.monotonic() - started
                         return _plan(request, scheme, combination, stages, elapsed, search)
-                if search.out_of_time or not ways.any():
+                if search.out_of_time:
                     break
-            if search.out_of_time:
-                break
+            search.picks += picking.found
         raise self._refusal(request, search, arms)
 
     def _scheme(self, name: str) -> Scheme:
@@ -126,28 +126,44 @@ class HandoverPlanner:
         return sorted(homes, key=lambda arm: float(np.linalg.norm(homes[arm] - world_from_object[:3, 3])))
 
     def _combinations(
-        self, offer: Offer, ways: _Remembered, snapshot: CellSnapshot, search: Search
+        self, offer: Offer, picking: Picking, snapshot: CellSnapshot, search: Search
     ) -> list[Combination]:
         """Return the picks with which an arm can be at an offer, the cheapest first."""
         found: list[Combination] = []
-        settings = self.motion.settings
         standing = self.motion.standing(snapshot)
-        for pick in ways:
-            if search.out_of_time:
+        for index, world_from_gripper, towards in self._grasps_at(offer, picking):
+            if search.out_of_time or len(found) >= COMBINATIONS_KEPT:
                 break
-            world_from_gripper = offer.world_from_object @ pick.object_from_gripper
-            towards = float(world_from_gripper[:3, 2] @ offer.reach)
-            apart = np.linalg.norm(world_from_gripper[:3, 3] - offer.world_from_hand[:3, 3])
-            if towards > PERSON_SIDE or apart < settings.hand_clearance:
+            if picking.refused(index):
+                continue
+            reach = self.motion.reaches[picking.arm]
+            if not len(reach.inverse_kinematics.solve(world_from_gripper, wanted=1)):
+                within = reach.inverse_kinematics.within_arm_length(world_from_gripper)
+                search.offering.add(Reason.JOINT_LIMITS if within else Reason.OUT_OF_REACH)
+                continue
+            pick = picking[index]
+            if pick is None:
                 continue
             carried = pick.lift_line[-1]
-            reach = self.motion.reaches[pick.arm]
             free = reach.solutions(world_from_gripper, pick.carrying, standing, search.offering, carried)
             for posture in free[:POSTURES_TRIED]:
                 cost = float(np.max(np.abs(posture - carried))) + TURN_WEIGHT * towards
                 found.append(Combination(pick, offer, world_from_gripper, posture, cost))
-        search.picks = max(search.picks, len(ways))
         return sorted(found, key=lambda combination: combination.cost)[:PATHS_TRIED]
+
+    def _grasps_at(self, offer: Offer, picking: Picking) -> list[tuple[int, FloatArray, float]]:
+        """Return the grasps that leave the person's hand and side free at an offer, those pointing to the person first.
+
+        Each with its place in ``picking``, ``world_from_gripper`` and the cosine between gripper and the person's reach.
+        """
+        usable = []
+        for index, (_, object_from_gripper) in enumerate(picking.grasps):
+            world_from_gripper = offer.world_from_object @ object_from_gripper
+            towards = float(world_from_gripper[:3, 2] @ offer.reach)
+            apart = np.linalg.norm(world_from_gripper[:3, 3] - offer.world_from_hand[:3, 3])
+            if towards <= PERSON_SIDE and apart >= self.motion.settings.hand_clearance:
+                usable.append((index, world_from_gripper, towards))
+        return sorted(usable, key=lambda entry: entry[2])
 
     def _stages(
         self, chosen: Combination, lead: FloatArray, snapshot: CellSnapshot, search: Search
@@ -195,7 +211,7 @@ class HandoverPlanner:
         motion, pick = self.motion, chosen.pick
         start = pick.lift_line[-1]
         upright = motion.upright(pick.arm, pick.gripper_from_object, carrying)
-        if upright(start) and upright(chosen.posture):
+        if motion.object_model(pick.held.name).keep_upright and upright(start) and upright(chosen.posture):
             path = motion.free_path(pick.arm, start, chosen.posture, upright, search.deadline, UPRIGHT_SEARCH)
             if path is not None:
                 return path
@@ -226,32 +242,6 @@ class HandoverPlanner:
             "into reach, or choose another scheme",
             search.offering.code,
         )
-
-
-class _Remembered:
-    """A lazily made list: what the iterator gives, at most ``most`` of it, made once."""
-
-    def __init__(self, source: Iterator[Pick], most: int) -> None:
-        self._source = source
-        self._most = most
-        self._made: list[Pick] = []
-
-    def __iter__(self) -> Iterator[Pick]:
-        yield from self._made
-        while len(self._made) < self._most:
-            pick = next(self._source, None)
-            if pick is None:
-                self._most = 0
-                return
-            self._made.append(pick)
-            yield pick
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-    def any(self) -> bool:
-        """Whether there is any."""
-        return next(iter(self), None) is not None
 
 
 def _plan(

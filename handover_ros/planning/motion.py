@@ -230,14 +230,15 @@ class MotionPlanner:
         path = None
         if gripper_from_object is not None:
             upright = self.upright(arm, gripper_from_object, valid)
-            path = self.free_path(arm, lead[-1], goal, upright, deadline, UPRIGHT_SEARCH) if upright(start) else None
+            careful = self.object_model(held_name).keep_upright and upright(start)
+            path = self.free_path(arm, lead[-1], goal, upright, deadline, UPRIGHT_SEARCH) if careful else None
         if path is None:
             path = self.free_path(arm, lead[-1], goal, valid, deadline)
         if path is None:
             self._refuse_goal(arm, goal, checker, snapshot)
         assert path is not None
-        careful = self.settings.present_speed if held_name else 1.0
-        return self.timed(arm, np.vstack([lead, path[1:]]), valid if len(lead) == 1 else None, careful)
+        speed = self.settings.present_speed if held_name else 1.0
+        return self.timed(arm, np.vstack([lead, path[1:]]), valid if len(lead) == 1 else None, speed)
 
     def put_back(
         self, arm: str, name: str, world_from_place: FloatArray, snapshot: CellSnapshot, time_budget: float = 0.0
@@ -265,6 +266,7 @@ class MotionPlanner:
         carry = self.reaches[arm].validity(checker, whole)
         checker.tolerate_start(whole)
         upright = self.upright(arm, gripper_from_object, carry)
+        careful = self.object_model(name).keep_upright and upright(start)
         for placed in reach.inverse_kinematics.solve(down_pose, start):
             landing = self._carrying(arm, start, snapshot, name)[0]
             at_place = whole.copy()
@@ -275,7 +277,7 @@ class MotionPlanner:
             if up is None:
                 reasons.add(*(landing.why(at_place) or (Reason.JOINT_LIMITS, "straight way down")))
                 continue
-            path = self.free_path(arm, start, up[-1], upright, deadline, UPRIGHT_SEARCH) if upright(start) else None
+            path = self.free_path(arm, start, up[-1], upright, deadline, UPRIGHT_SEARCH) if careful else None
             if path is None:
                 path = self.free_path(arm, start, up[-1], carry, deadline)
             if path is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -19,7 +18,7 @@ from handover_ros.robot.reach import Reasons
 GRID_LENGTH = 0.04  # [m]
 GRID_ANGLE = 0.35  # [rad]
 POSES_PER_REGION = 14
-POSTURES_PER_POSE = 3
+POSTURES_PER_POSE = 4
 OPENING_CLEARANCE = 0.004  # [m] the open gripper must be wider than the object
 
 
@@ -71,49 +70,73 @@ def grasp_poses(model: ObjectModel, arm: ArmModel) -> list[tuple[RobotGrasp, Flo
     return [pair for row in zip_longest(*regions) for pair in row if pair is not None]
 
 
-def picks(
-    planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot, reasons: Reasons
-) -> Iterator[Pick]:
-    """Yield reachable ways of an arm to pick an object up from where it is; refusals go to ``reasons``.
+class Picking:
+    """Reachable ways of one arm to pick one object up from where it is; each is worked out once, when it is asked for.
 
-    At most one posture a grasp pose is yielded.
+    Attributes:
+        arm: The arm.
+        grasps: Grasps and their poses ``object_from_gripper``, as ``grasp_poses`` orders them.
+        found: Number of reachable ones so far.
     """
-    model = planner.object_model(name)
-    world_from_object = planner.object_pose(snapshot, name)
-    reach = planner.reaches[arm]
-    standing = planner.standing(snapshot)
-    touching = planner.checker(arm, snapshot, touched=name)
-    clear = planner.checker(arm, snapshot)
-    at_grasp, before = reach.validity(touching, standing), reach.validity(clear, standing)
-    for grasp, object_from_gripper in grasp_poses(model, planner.robot.arm(arm)):
-        world_from_gripper = world_from_object @ object_from_gripper
-        postures = reach.solutions(world_from_gripper, touching, standing, reasons)
-        for posture in postures[:POSTURES_PER_POSE]:
-            back = -planner.settings.pregrasp_distance * world_from_gripper[:3, 2]
+
+    def __init__(self, planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot, reasons: Reasons) -> None:
+        self.grasps = grasp_poses(planner.object_model(name), planner.robot.arm(arm))
+        self.found = 0
+        self.arm = arm
+        self._planner, self._name = planner, name
+        self._snapshot, self._reasons = snapshot, reasons
+        self._world_from_object = planner.object_pose(snapshot, name)
+        self._standing = planner.standing(snapshot)
+        self._touching = planner.checker(arm, snapshot, touched=name)
+        self._clear = planner.checker(arm, snapshot)
+        self._known: dict[int, Pick | None] = {}
+
+    def __getitem__(self, index: int) -> Pick | None:
+        """Return the pick of a grasp, or None when it cannot be reached; refusals go to the reasons."""
+        if index not in self._known:
+            self._known[index] = self._make(*self.grasps[index])
+            self.found += self._known[index] is not None
+        return self._known[index]
+
+    def refused(self, index: int) -> bool:
+        """Return whether a grasp is already known to be out of reach."""
+        return index in self._known and self._known[index] is None
+
+    def _make(self, grasp: RobotGrasp, object_from_gripper: FloatArray) -> Pick | None:
+        planner, arm, standing, reasons = self._planner, self.arm, self._standing, self._reasons
+        reach = planner.reaches[arm]
+        at_grasp, before = reach.validity(self._touching, standing), reach.validity(self._clear, standing)
+        world_from_gripper = self._world_from_object @ object_from_gripper
+        back = -planner.settings.pregrasp_distance * world_from_gripper[:3, 2]
+        held = planner.held_object(arm, self._name, invert_transform(object_from_gripper))
+        carrying = None
+        for posture in reach.solutions(world_from_gripper, self._touching, standing, reasons)[:POSTURES_PER_POSE]:
             away = planner.line(arm, posture, back, at_grasp)
             if away is None or not before(away[-1]):
-                reasons.add(Reason.JOINT_LIMITS, "straight way to the object")
+                reasons.add(Reason.BLOCKED, "straight way to the object")
                 continue
-            held = planner.held_object(arm, name, invert_transform(object_from_gripper))
-            carrying = planner.checker(arm, snapshot, held)
-            lift = _lift(planner, arm, posture, snapshot, held)
-            if lift is None or not reach.validity(carrying, standing)(lift[-1]):
-                reasons.add(Reason.JOINT_LIMITS, "straight way up with the object")
+            carrying = carrying or planner.checker(arm, self._snapshot, held)
+            lift = self._lift(posture, carrying, held)
+            if lift is None:
+                reasons.add(Reason.BLOCKED, "straight way up with the object")
                 continue
-            yield Pick(arm, grasp, object_from_gripper, away[::-1].copy(), lift, held, carrying)
-            break
+            return Pick(arm, grasp, object_from_gripper, away[::-1].copy(), lift, held, carrying)
+        return None
 
-
-def _lift(
-    planner: MotionPlanner, arm: str, posture: FloatArray, snapshot: CellSnapshot, held: HeldObject
-) -> FloatArray | None:
-    """Return displacements (k, n) that lift a grasped object off its support, or None."""
-    checker = planner.checker(arm, snapshot, held)
-    whole = planner.standing(snapshot)
-    whole[planner.robot.arm_indices(arm)] = posture
-    checker.ignore_support(whole)
-    valid = planner.reaches[arm].validity(checker, planner.standing(snapshot))
-    return planner.line(arm, posture, planner.settings.lift_height * UP, valid)
+    def _lift(self, posture: FloatArray, carrying: CollisionChecker, held: HeldObject) -> FloatArray | None:
+        """Return displacements (k, n) that lift a grasped object off its support to where it is free, or None."""
+        planner, arm = self._planner, self.arm
+        checker = planner.checker(arm, self._snapshot, held)
+        whole = self._standing.copy()
+        whole[planner.robot.arm_indices(arm)] = posture
+        checker.ignore_support(whole)
+        valid = planner.reaches[arm].validity(checker, self._standing)
+        free = planner.reaches[arm].validity(carrying, self._standing)
+        for share in (1.0, 0.6):
+            path = planner.line(arm, posture, share * planner.settings.lift_height * UP, valid)
+            if path is not None and free(path[-1]):
+                return path
+        return None
 
 
 def _spread(count: int, kept: int) -> list[int]:
