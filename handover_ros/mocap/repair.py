@@ -18,6 +18,10 @@ from handover_ros.mocap.repair_types import BoolArray, RepairCounters, RepairSet
 from handover_ros.mocap.rigid_prediction import Predictor, predict_from_segment
 from handover_ros.mocap.shape_memory import ShapeMemory
 
+# Plain numbers: comparing arrays with enumeration members costs ten times as much.
+MEASURED, MISSING, BRIDGED, RELABELLED, DROPPED = (int(status) for status in MarkerStatus)
+RIGID, NONE = int(Predictor.RIGID), int(Predictor.NONE)
+
 VELOCITY_GAIN = 0.5  # share of an innovation that goes into the velocity
 VELOCITY_LAG = 1.5  # innovation under a constant acceleration, in a * T^2, at that gain
 BLIND_DECAY = 0.1  # [s] a velocity that nothing confirms dies away within this time
@@ -29,6 +33,7 @@ LONE_CONFIRM = 5.0  # [s] a marker that left its segment must be steady this lon
 RIGID_SPEED, RIGID_REACH = 0.3, 0.05  # [m/s], [m]
 SHIFT_SPEED, SHIFT_REACH = 1.0, 0.3
 BLIND_REACH = 1.0
+ROUNDING = 1e-6  # [s]
 UNKNOWN_GROWTH = 1e9  # [m/s^2] the velocity is still unknown: only the speed limits
 
 
@@ -89,13 +94,11 @@ class MarkerRepair:
         innovation = measured - predicted
         suspicious = (np.einsum("ij,ij->i", innovation, innovation) > gate * gate) & self._known
         crossed = self._shape.crossed_pairs(measured, predicted)
-        usual = not (suspicious.any() or crossed.any())
-        if usual and finite.all() and self._known.all():
+        usual = not (np.count_nonzero(suspicious) or np.count_nonzero(crossed))
+        if usual and np.count_nonzero(finite & self._known) == self._n:
             return self._accept_all(frame, innovation, age)
-        status = np.where(finite, np.uint8(MarkerStatus.MEASURED), np.uint8(MarkerStatus.MISSING))
-        step = Step(
-            frame.stamp, elapsed, age, measured.copy(), finite, predicted, gate, finite.copy(), status.astype(np.uint8)
-        )
+        status = (~finite).astype(np.uint8)  # MEASURED 0, MISSING 1
+        step = Step(frame.stamp, elapsed, age, measured.copy(), finite, predicted, gate, finite.copy(), status)
         if usual:
             self._swap = ()
             self._shape.learn(measured, finite)
@@ -104,9 +107,8 @@ class MarkerRepair:
             self._resolve(step, suspicious)
         self._candidate_count[step.believed] = 0
         self._update(step)
-        output = np.where(step.believed[:, None], step.measured, np.nan)
-        bridged = step.status == MarkerStatus.BRIDGED
-        output[bridged] = self._position[bridged]
+        output = self._position.copy()
+        output[(step.status == MISSING) | (step.status == DROPPED)] = np.nan
         self._count(step)
         self._measured_last = step.believed
         self._stamp = frame.stamp
@@ -150,10 +152,10 @@ class MarkerRepair:
             self._known[suspects] = False  # the source is right: start these afresh
             return
         step.believed[suspects] = False
-        step.status[suspects] = MarkerStatus.MISSING
+        step.status[suspects] = MISSING
         step.measured[found.targets] = samples[found.sources]
         step.believed[found.targets] = True
-        step.status[found.targets] = np.where(moved, MarkerStatus.RELABELLED, MarkerStatus.MEASURED)
+        step.status[found.targets] = np.where(moved, RELABELLED, MEASURED)
         for label in found.unexplained:
             if not step.believed[label]:
                 self._judge(step, int(label), samples[label])
@@ -196,10 +198,10 @@ class MarkerRepair:
             self._known[label] = False
             step.measured[label] = sample
             step.believed[label] = True
-            step.status[label] = MarkerStatus.MEASURED
+            step.status[label] = MEASURED
             self.counters.relocations += 1
         else:
-            step.status[label] = MarkerStatus.DROPPED
+            step.status[label] = DROPPED
 
     def _update(self, step: Step) -> None:
         """Carry all tracks to this frame: measured ones, missing ones by their segment, new ones afresh."""
@@ -207,7 +209,7 @@ class MarkerRepair:
         believed = step.believed
         lost = self._known & ~believed
         starting = lost & self._measured_last
-        if starting.any():
+        if np.count_nonzero(starting):
             self._anchor[starting] = previous
             self._anchor_mask[starting] = self._mates[starting] & self._measured_last
         tracked = self._known & believed
@@ -217,12 +219,12 @@ class MarkerRepair:
         self._position[believed] = step.measured[believed]
         self._after_measurement(believed, step.stamp)
         new = believed & ~self._known
-        if new.any():
+        if np.count_nonzero(new):
             self._velocity[new] = 0.0
             self._fresh[new] = True
             self._growth[new] = UNKNOWN_GROWTH
             self._known |= new
-        if lost.any():
+        if np.count_nonzero(lost):
             self._predict_lost(step, np.flatnonzero(lost), previous)
 
     def _predict_lost(self, step: Step, labels: npt.NDArray[np.intp], previous: FloatArray) -> None:
@@ -231,29 +233,30 @@ class MarkerRepair:
         anchors = self._anchor[labels]
         own = anchors[np.arange(len(labels)), labels]
         position, predictor = predict_from_segment(anchors, own, self._anchor_mask[labels] & step.believed, current)
-        rigid, blind = predictor == Predictor.RIGID, predictor == Predictor.NONE
-        guided = labels[~blind]
-        if len(guided):
-            velocity = (position[~blind] - previous[guided]) / step.elapsed
-            self._velocity[guided] += VELOCITY_GAIN * (velocity - self._velocity[guided])
-            self._position[guided] = position[~blind]
-        self._velocity[labels[blind]] *= np.exp(-step.elapsed / BLIND_DECAY)
+        rigid, blind = predictor == RIGID, predictor == NONE
+        guided = ~blind
+        aimed = labels[guided]
+        velocity = (position[guided] - previous[aimed]) / step.elapsed
+        self._velocity[aimed] += VELOCITY_GAIN * (velocity - self._velocity[aimed])
+        self._position[aimed] = position[guided]
+        if len(aimed) < len(labels):
+            self._velocity[labels[blind]] *= np.exp(-step.elapsed / BLIND_DECAY)
         self._speed[labels] = np.where(rigid, RIGID_SPEED, np.where(blind, self.settings.max_speed, SHIFT_SPEED))
         self._reach[labels] = np.where(rigid, RIGID_REACH, np.where(blind, BLIND_REACH, SHIFT_REACH))
         longest = np.where(blind, min(BLIND_GAP, self.settings.max_gap), self.settings.max_gap)
-        bridged = (step.age[labels] <= longest) & (step.status[labels] == MarkerStatus.MISSING)
-        step.status[labels[bridged]] = MarkerStatus.BRIDGED
+        bridged = (step.age[labels] <= longest + ROUNDING) & (step.status[labels] == MISSING)
+        step.status[labels[bridged]] = BRIDGED
 
     def _count(self, step: Step) -> None:
         counters = self.counters
-        counters.samples += int(self._known.sum())
-        counters.missing += int((self._known & ~step.finite).sum())
-        counters.bridged += int((step.status == MarkerStatus.BRIDGED).sum())
-        counters.relabelled += int((step.status == MarkerStatus.RELABELLED).sum())
-        dropped = step.status == MarkerStatus.DROPPED
-        if dropped.any():
+        counters.samples += np.count_nonzero(self._known)
+        counters.missing += np.count_nonzero(self._known & ~step.finite)
+        counters.bridged += np.count_nonzero(step.status == BRIDGED)
+        counters.relabelled += np.count_nonzero(step.status == RELABELLED)
+        dropped = step.status == DROPPED
+        if np.count_nonzero(dropped):
             onset = dropped & ~self._dropping
-            counters.dropped += int(dropped.sum())
-            counters.jumps += int((onset & self._measured_last).sum())
-            counters.ghosts += int((onset & ~self._measured_last).sum())
+            counters.dropped += np.count_nonzero(dropped)
+            counters.jumps += np.count_nonzero(onset & self._measured_last)
+            counters.ghosts += np.count_nonzero(onset & ~self._measured_last)
         self._dropping = dropped

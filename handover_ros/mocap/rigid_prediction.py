@@ -38,20 +38,20 @@ def predict_from_segment(
     Returns:
         Positions [m], shape (k, 3), and one :class:`Predictor` each, shape (k,).
     """
-    count = seen.sum(axis=1)
+    count = np.count_nonzero(seen, axis=1)
     weights = seen / np.maximum(count, 1)[:, None]
-    anchor_mean = np.einsum("kn,knd->kd", weights, anchors)
+    anchor_mean = (weights[:, None, :] @ anchors)[:, 0]
     current_mean = weights @ current
-    predictor = np.where(count > 0, Predictor.SHIFT, Predictor.NONE)
+    predictor = np.where(count > 0, int(Predictor.SHIFT), int(Predictor.NONE))
     predicted = own + current_mean - anchor_mean
     predicted[count == 0] = np.nan
-    if (count >= MIN_MATES).any():
+    enough = count >= MIN_MATES
+    if np.count_nonzero(enough):
         centred = (anchors - anchor_mean[:, None]) * weights[:, :, None]
         u, singular, vt = np.linalg.svd(centred.transpose(0, 2, 1) @ current)
-        mirrored = np.linalg.det(u) * np.linalg.det(vt)
-        u[:, :, 2] *= np.sign(mirrored)[:, None]
-        turned = np.einsum("kd,kde,kef->kf", own - anchor_mean, u, vt)
-        rigid = (count >= MIN_MATES) & (singular[:, 1] > MIN_SPREAD**2)
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        turned = ((own - anchor_mean)[:, None, :] @ u @ vt)[:, 0]
+        rigid = enough & (singular[:, 1] > MIN_SPREAD**2)
         predicted[rigid] = (turned + current_mean)[rigid]
-        predictor[rigid] = Predictor.RIGID
+        predictor[rigid] = int(Predictor.RIGID)
     return predicted, predictor

@@ -20,11 +20,13 @@ from handover_ros.nodes.convert import numpy_array, seconds_from_stamp
 from handover_ros.nodes.convert_human import fill_marker_frame, marker_set_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
+from handover_ros.nodes.streams import subscribe_stream
 from handover_ros.objects.scene import load_scene
 from handover_ros.skeleton.torso import track_recording
 
 SILENT_AFTER = 1.0  # [s] of wall time without frames until the node says so
 MAX_CATCH_UP = 64  # frames published in one go after a pause
+LISTENER_WAIT = 3.0  # [s] of wall time a recording waits for somebody to listen
 LOOKED_AT = 1000  # frames of a recording whose torso is looked at before it is played
 
 PARAMETERS = (
@@ -86,7 +88,7 @@ class MocapNode(HandoverNode):
         else:
             # Reliable on both sides: a frame is only lost when the node falls 10 frames behind.
             self.create_subscription(MarkerSet, "sim/marker_set", self.on_source_set, LATCHED)
-            self.create_subscription(MarkerFrame, "sim/markers", self.on_source_frame, SENSOR_PUBLISHER)
+            subscribe_stream(self, MarkerFrame, "sim/markers", self.on_source_frame, SENSOR_PUBLISHER)
             self.degraded("waiting for sim/marker_set")
 
     # Recording -------------------------------------------------------------------------------------------------
@@ -121,6 +123,7 @@ class MocapNode(HandoverNode):
         self.recording = recording
         self.announce(recording.rate * parameters["pace"])
         self.started_at: float | None = None
+        self.opened_at = monotonic()
         self.create_timer(1.0 / (recording.rate * parameters["pace"]), self.play)
         self.ready(f"playing {recording.path.name}: {recording.frames} frames at {recording.rate:g} Hz")
 
@@ -129,6 +132,9 @@ class MocapNode(HandoverNode):
         now = self.seconds_now()
         if now <= 0.0:
             return  # nobody publishes /clock yet
+        unheard = self.source is None and not self.marker_publisher.get_subscription_count()
+        if unheard and monotonic() - self.opened_at < LISTENER_WAIT:
+            return
         if self.source is None or self.started_at is None or now < self.started_at - self.parameters["start_delay"]:
             self.started_at = now + self.parameters["start_delay"]
             loop = self.parameters["loop_style"] if self.parameters["loop"] else "none"

@@ -10,6 +10,7 @@ from handover_ros.mocap.marker_sets import load_marker_set
 from handover_ros.nodes.convert_human import fill_skeleton_state, human_visual, marker_frame_from_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
+from handover_ros.nodes.streams import subscribe_stream
 from handover_ros.skeleton.torso import TorsoTracker, TrackingState
 
 SILENT_AFTER = 1.0  # [s] of wall time without frames until the node says so
@@ -41,7 +42,7 @@ class SkeletonNode(HandoverNode):
         self.visual_publisher = self.create_publisher(MarkerArray, "human/visual", SENSOR_PUBLISHER)
         self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
         # Reliable on both sides: a frame is only lost when the node falls 10 frames behind.
-        self.create_subscription(MarkerFrame, "mocap/markers", self.on_markers, SENSOR_PUBLISHER)
+        subscribe_stream(self, MarkerFrame, "mocap/markers", self.on_markers, SENSOR_PUBLISHER)
         self.degraded("waiting for mocap/marker_set")
 
     def on_marker_set(self, message: MarkerSet) -> None:

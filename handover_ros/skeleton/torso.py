@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -22,6 +23,7 @@ from handover_ros.skeleton.torso_template import (
 
 BoolArray = npt.NDArray[np.bool_]
 
+BRIDGED = int(MarkerStatus.BRIDGED)
 TEMPLATE_FRAMES = 30
 MIN_TEMPLATE_MARKERS = 4
 BRIDGED_WEIGHT = 0.1  # a predicted marker says little that the others do not say
@@ -119,10 +121,10 @@ class TorsoTracker:
         positions = frame.positions[self._markers.index]
         status = frame.status[self._markers.index]
         seen = measured_mask(positions)
-        if self.template is None and not self._learn(positions, seen & (status != MarkerStatus.BRIDGED)):
+        if self.template is None and not self._learn(positions, seen & (status != BRIDGED)):
             return self._invalid(frame.stamp)
         assert self.template is not None
-        weights = np.where(status == MarkerStatus.BRIDGED, BRIDGED_WEIGHT, 1.0) * self._markers.weights
+        weights = np.where(status == BRIDGED, BRIDGED_WEIGHT, 1.0) * self._markers.weights
         fit = fit_rigid_body(self.template, positions, weights, self._noise, seen & self._in_template)
         if fit is None or fit.covariance[3:, 3:].diagonal().max() > MAX_ROTATION_SIGMA**2:
             self.state = TrackingState.LOST
@@ -130,7 +132,7 @@ class TorsoTracker:
         self.state = TrackingState.TRACKING
         self.valid_frames += 1
         self._squared_residuals += fit.residual_rms**2
-        if not self._in_template.all():
+        if np.count_nonzero(self._in_template) < len(self._in_template):
             self._learn_late(positions, seen & ~self._in_template, fit)
         self._differentiate(frame.stamp, fit.target_from_body)
         return TorsoEstimate(
@@ -139,7 +141,7 @@ class TorsoTracker:
             world_from_torso=fit.target_from_body,
             covariance=fit.covariance,
             velocity=self._velocity.copy(),
-            markers_used=int(fit.used.sum()),
+            markers_used=int(np.count_nonzero(fit.used)),
             residual_rms=fit.residual_rms,
             consistency=fit.consistency,
             confidence=float(fit.weights.sum() / self._markers.weights.sum()),
@@ -181,7 +183,7 @@ class TorsoTracker:
         else:
             turn = pose[:3, :3] @ self._previous[:3, :3].T
             step = np.concatenate([pose[:3, 3] - self._previous[:3, 3], small_rotation_vector(turn)]) / elapsed
-            if np.isnan(self._velocity[0]):
+            if math.isnan(self._velocity[0]):
                 self._velocity = step
             else:
                 self._velocity += (step - self._velocity) * (elapsed / (VELOCITY_TIME + elapsed))
@@ -195,13 +197,13 @@ class TorsoTracker:
 
 def small_rotation_vector(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector [rad] of a 3x3 rotation; exact, and cheap for the small ones between frames."""
-    axis = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    sine = float(np.sqrt(axis @ axis))
-    if sine > 0.5 or np.trace(rotation) < 1.0:
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    x, y, z = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b)
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine > 0.5 or a + e + i < 1.0:
         return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
-    return axis * (np.arcsin(sine) / sine if sine > 1e-9 else 1.0)
+    scale = math.asin(sine) / sine if sine > 1e-9 else 1.0
+    return np.array([scale * x, scale * y, scale * z])
 
 
 def track_recording(definition: TorsoDefinition, recording: Recording, max_frames: int) -> list[TorsoEstimate]:
