@@ -17,6 +17,9 @@ from handover_ros.sim.world import World
 GRIPPER_TOLERANCE = (0.015, 0.20)  # [m], [rad]
 # A hand is soft: it closes around a grip that it meets less exactly.
 HAND_TOLERANCE = (0.03, 0.50)  # [m], [rad]
+LEAST_SQUEEZE = 0.001  # [m] between the fingers' opening and their command when something blocks them
+LEAST_FORCE = 0.5  # [N] of fingers that press on something
+FARTHEST_ORIGIN = 0.6  # [m] from a gripper to the origin of an object that it can hold
 TOUCH_GAP = 0.0015  # [m] between the fingers' opening and the object's width when they touch
 DEEPEST_SQUEEZE = 0.006  # [m] that the opening may be below the width and still hold
 RELEASE_GAP = 0.003  # [m] that the opening must grow to let go
@@ -99,13 +102,16 @@ class Grasping:
     def _try_gripper(self, data: mujoco.MjData, arm: str) -> list[GraspChange]:
         """Take hold of the object between the closing fingers of an arm, if there is one."""
         commanded, opening = self._grippers.commanded(arm), self._grippers.opening(data, arm)
-        if opening < commanded:
+        if opening - commanded < LEAST_SQUEEZE or self._grippers.force(data, arm) < LEAST_FORCE:
             return []
+        site = self._world.gripper_sites[arm]
         for name, item in self._world.objects.items():
+            if np.linalg.norm(data.xpos[self._world.object_bodies[name]] - data.site_xpos[site]) > FARTHEST_ORIGIN:
+                continue
             for grasp in item.robot_grasps:
-                if commanded >= grasp.width or not -DEEPEST_SQUEEZE <= opening - grasp.width <= TOUCH_GAP:
+                if not -DEEPEST_SQUEEZE <= opening - grasp.width <= TOUCH_GAP:
                     continue
-                object_from_gripper = self._object_from_site(data, name, self._world.gripper_sites[arm])
+                object_from_gripper = self._object_from_site(data, name, site)
                 if _is_near(grasp.region, object_from_gripper, GRIPPER_TOLERANCE):
                     self._close(data, self._world.gripper_welds[arm, name])
                     self.held_by_robot.pop(name, None)

@@ -28,6 +28,7 @@ PICTURE_SIZE = (1280, 960)  # largest picture [pixels]
 WELD_SOLREF = (0.008, 1.0)
 WELD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 OBJECT_FRICTION = (0.9, 0.01, 0.0002)
+OBJECT_SOLREF = (0.01, 1.0)  # contact: time constant [s], damping ratio
 DECORATION_THICKNESS = 0.002  # [m] thinner solids are drawn only
 
 IntArray = npt.NDArray[np.int64]
@@ -229,6 +230,7 @@ def _add_object(spec: mujoco.MjSpec, item: ObjectModel, world_from_object: Float
             contype=0 if drawn_only else OBJECT_BIT,
             conaffinity=0 if drawn_only else ROBOT_BIT | OBJECT_BIT | FIXED_BIT,
             friction=OBJECT_FRICTION,
+            solref=OBJECT_SOLREF,
             condim=4,
         )
         geom.type, geom.size = _mujoco_solid(primitive)
