@@ -222,10 +222,7 @@ class PersonActuation:
 
     def _move_base(self, time: float, step: float) -> None:
         """Let the base follow its target, critically damped."""
-        if self._torso_target is None:
-            target = self._sway.offset(time)
-        else:
-            target = self._torso_target
+        target = self._sway.offset(time) if self._torso_target is None else self._torso_target
         acceleration = TORSO_FOLLOWING**2 * (target - self.base) - 2.0 * TORSO_FOLLOWING * self._base_velocity
         self._base_velocity = self._base_velocity + step * acceleration
         self.base = self.base + step * self._base_velocity

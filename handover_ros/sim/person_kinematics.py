@@ -1,8 +1,8 @@
 """Kinematics of the simulated person: forward, Jacobian and the closed-form inverse of an arm.
 
-Joints are ordered as ``person_spec.JOINTS``. Zero posture: upright, arms hanging, palms to the body. Right-arm axes in the
-zero posture (torso frame, x forward, y left, z up): flexion -y, abduction -x, internal rotation +z, elbow flexion -y,
-pronation +z, wrist flexion +x, radial deviation -y. The left arm is its mirror image in the plane y = 0.
+Joints are ordered as ``person_spec.JOINTS``. Zero posture: upright, arms hanging, palms to the body. Right-arm axes in
+the zero posture (torso frame, x forward, y left, z up): flexion -y, abduction -x, internal rotation +z, elbow flexion
+-y, pronation +z, wrist flexion +x, radial deviation -y. The left arm is its mirror image in the plane y = 0.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from handover_ros.geometry import FloatArray, invert_transform, make_transform
 from handover_ros.sim.person_spec import ARM_SLICE, HANDS, PersonSpec
 
-# Hand axes (x along the fingers, z out of the palm) of the right hand in the zero posture, as columns in the torso frame.
+# Axes of the right hand (x along the fingers, z out of the palm) in the zero posture: columns in the torso frame.
 RIGHT_HAND_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 TORSO_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
@@ -130,9 +130,9 @@ class PersonKinematics:
     def inverse(self, hand: str, torso_from_hand: FloatArray, swivel: FloatArray) -> FloatArray:
         """Return the arm's displacements with which the grip has a pose, elbow turned to a swivel angle.
 
-        The wrist centre fixes the elbow's circle about the line from shoulder to wrist; the swivel [rad] picks the point
-        on it (0: elbow low, positive: outward); the rest are two Euler triples. Branches with the abduction or the wrist
-        flexion beyond 90 degrees are left out. Limits are not regarded.
+        The wrist centre fixes the elbow's circle about the line from shoulder to wrist; the swivel [rad] picks the
+        point on it (0: elbow low, positive: outward); the rest are two Euler triples. Branches with the abduction or
+        the wrist flexion beyond 90 degrees are left out. Limits are not regarded.
 
         Args:
             hand: ``right`` or ``left``.

@@ -141,7 +141,7 @@ def add_sleeve(body: mujoco.MjsBody, paint: Painter, segment: str, mass: float) 
 
 
 def add_hand(body: mujoco.MjsBody, paint: Painter, hand: str, mass: float) -> tuple[mujoco.MjsBody, mujoco.MjsBody]:
-    """Add palm, four fingers and thumb; return the bodies of the fingers and of the thumb, whose joints are to be added.
+    """Add palm, four fingers and thumb; return the bodies of fingers and thumb, which still need their joints.
 
     The body's origin is the wrist; hanging, the thumb points forward (+x), the right palm faces left (+y).
     """

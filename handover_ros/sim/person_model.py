@@ -1,7 +1,7 @@
 """Bodies, joints, actuators and sites of the simulated person, added to a MuJoCo specification.
 
-Segment masses are fractions of the body mass: D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th ed.,
-2009, table 4.1. Joints have the names of ``person_spec.JOINTS`` with the prefix ``person/``. What is seen (group 2) is
+Segment masses are fractions of the body mass: D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th
+ed., 2009, table 4.1. Joints have the names of ``person_spec.JOINTS`` with the prefix ``person/``. What is seen (group 2) is
 finer than what casts occlusion (group 4); neither collides with anything.
 """
 
@@ -29,8 +29,8 @@ MASS_FRACTION = {
     "forearm": 0.016,
     "hand": 0.006,
 }
-# Stiffness [N/m, N m/rad] and damping [N s/m, N m s/rad] of the servo of each joint, and armature [kg m2]; about critically
-# damped with the limb's inertia, for an adult of 75 kg.
+# Stiffness [N/m, N m/rad] and damping [N s/m, N m s/rad] of the servo of each joint, and armature [kg m2]; about
+# critically damped with the limb's inertia, for an adult of 75 kg.
 TORSO_SERVO = ((6e4, 4e3), (6e4, 4e3), (6e4, 4e3), (4e3, 160.0), (9e3, 500.0), (9e3, 500.0))
 ARM_SERVO = (
     (900.0, 36.0, 0.02),

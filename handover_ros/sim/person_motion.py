@@ -16,7 +16,7 @@ SWAY_LONGEST_PERIOD = 14.0
 
 
 def minimum_jerk(fraction: float) -> float:
-    """Return the share of a minimum-jerk movement done at a share of its time (Flash and Hogan 1985), clipped to 0..1."""
+    """Return the share of a minimum-jerk movement done at a share of its time (Flash and Hogan 1985)."""
     s = min(max(fraction, 0.0), 1.0)
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
 

@@ -1,4 +1,4 @@
-"""The simulated person's most comfortable posture for given hand poses: arms in closed form, trunk and swivel by search."""
+"""The simulated person's most comfortable posture for given hand poses: closed-form arms, searched trunk and swivel."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def _offsets(x: list[float], y: list[float], z: list[float], yaw: list[float], p
     return grid
 
 
-# Trunk offsets to try, from what is done at once to what is done when nothing else helps: upright or leaning, bending the
-# knees, moving the feet as well.
+# Trunk offsets to try, from what is done at once to what is done when nothing else helps: upright or leaning, bending
+# the knees, moving the feet as well.
 LEANING = _offsets([0.0], [0.0], [0.0], [-0.9, -0.45, 0.0, 0.45, 0.9], [0.0, 0.22, 0.45])
 BENDING = _offsets([0.0], [0.0], [0.0, -0.11], [-1.2, -0.6, 0.0, 0.6, 1.2], [0.25, 0.65])
 STEPPING = _offsets([-0.3, 0.0, 0.3], [-0.3, 0.0, 0.3], [0.0, -0.11], [-1.2, -0.6, 0.0, 0.6, 1.2], [0.05, 0.5])
@@ -165,7 +165,7 @@ class PostureFinder:
         turns = np.concatenate([[0.0], *([t, -t] for t in np.linspace(0.1, 1.4, 12))])
         torso_from_hand = invert_transform(self.kinematics.torso_pose(torsos)) @ world_from_hand
         arms = self.kinematics.inverse(hand, torso_from_hand, swivels[:, None] + turns)
-        inside = np.isfinite(self._arm_cost(hand, arms))
+        inside = np.asarray(np.isfinite(self._arm_cost(hand, arms)))
         # The first that fits is the one nearest to the wanted swivel.
         first = np.argmax(inside, axis=1)
         chosen = arms[np.arange(len(arms)), first]

@@ -1,4 +1,4 @@
-"""How the simulated person decides with which hand and where to take an object: the most comfortable grasp, with noise.
+"""How the simulated person decides with which hand and where to take an object: comfort, with noise.
 
 The perceived cost of a grasp is ``myopia * cost at the handover + (1 - myopia) * cost at the goal`` and the choice among
 the regions is a Boltzmann choice with the person's rationality (Bestick 2017, eq. 3.3).

@@ -59,8 +59,8 @@ class Lengths(Schema):
     """Segment lengths [m]; joint centres to joint centres.
 
     ``lumbar_height``: floor to the lumbar joint; ``trunk``: lumbar joint to the middle between the shoulders;
-    ``hand``: wrist to finger tips; ``grip_along`` and ``grip_out``: wrist to the centre of the grip along the fingers and
-    out of the palm.
+    ``hand``: wrist to finger tips; ``grip_along`` and ``grip_out``: wrist to the centre of the grip along the fingers
+    and out of the palm.
     """
 
     lumbar_height: Length
@@ -167,9 +167,9 @@ class Sway(Schema):
 class Comfort(Schema):
     """What the person finds comfortable; only the simulated person knows it.
 
-    ``other_hand``: cost of using the hand that is not dominant; ``myopia``: weight of the cost at the handover against the
-    cost at the goal (1: the goal is ignored); ``rationality``: Boltzmann coefficient of the choice among grasps (Bestick
-    2017, eq. 3.3), absent: always the best.
+    ``other_hand``: cost of using the hand that is not dominant; ``myopia``: weight of the cost at the handover against
+    the cost at the goal (1: the goal is ignored); ``rationality``: Boltzmann coefficient of the choice among grasps
+    (Bestick 2017, eq. 3.3), absent: always the best.
     """
 
     neutral: ArmAngles
@@ -194,8 +194,8 @@ class Marker(Schema):
 class PersonSpec(Schema):
     """One simulated person.
 
-    Attributes follow the YAML file: lengths [m], limits [rad] and [m], mass and stature, timing, sway, comfort, markers.
-    Arrays derived from them are read-only; joints are ordered as ``JOINTS``.
+    Attributes follow the YAML file: lengths [m], limits [rad] and [m], mass [kg] and stature [m], timing, sway, comfort,
+    markers. Arrays derived from them are read-only; joints are ordered as ``JOINTS``.
     """
 
     description: str
