@@ -101,7 +101,10 @@ class Grasping:
 
     def _try_gripper(self, data: mujoco.MjData, arm: str) -> list[GraspChange]:
         """Take hold of the object between the closing fingers of an arm, if there is one."""
-        commanded, opening = self._grippers.commanded(arm), self._grippers.opening(data, arm)
+        commanded = self._grippers.commanded(arm)
+        if commanded >= self._grippers.range(arm)[1]:
+            return []
+        opening = self._grippers.opening(data, arm)
         if opening - commanded < LEAST_SQUEEZE or self._grippers.force(data, arm) < LEAST_FORCE:
             return []
         site = self._world.gripper_sites[arm]
