@@ -25,7 +25,7 @@ from handover_ros.mocap.recordings import read_recording
 from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
 from handover_ros.objects.catalogue import load_object
 from handover_ros.objects.scene import load_scene
-from handover_ros.planning.schemes import scheme_names
+from handover_ros.planning.schemes import load_schemes
 from handover_ros.resources import config_directory, config_file, config_names
 
 READY_LIMIT = 60.0  # [s] of wall time until the graph is ready; the first start compiles and converts meshes
@@ -75,8 +75,9 @@ def checked_objects(request: DemoRequest) -> tuple[str, ...]:
     """
     config_file("people", request.person)
     config_file("robots", request.robot)
-    if request.scheme not in scheme_names():
-        raise UnknownNameError("scheme", request.scheme, scheme_names())
+    schemes = tuple(load_schemes())
+    if request.scheme not in schemes:
+        raise UnknownNameError("scheme", request.scheme, schemes)
     placed = tuple(load_scene(request.scene).placements)
     for name in request.objects:
         load_object(name)
