@@ -1,8 +1,8 @@
 """Bodies, joints, actuators and sites of the simulated person, added to a MuJoCo specification.
 
 Segment masses are fractions of the body mass: D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th
-ed., 2009, table 4.1. Joints have the names of ``person_spec.JOINTS`` with the prefix ``person/``. What is seen (group 2) is
-finer than what casts occlusion (group 4); neither collides with anything.
+ed., 2009, table 4.1. Joints have the names of ``person_spec.JOINTS`` with the prefix ``person/``. What is seen (group
+2) is finer than what casts occlusion (group 4); neither collides with anything.
 """
 
 from __future__ import annotations

@@ -43,11 +43,12 @@ def _offsets(x: list[float], y: list[float], z: list[float], yaw: list[float], p
 
 
 # Trunk offsets to try, from what is done at once to what is done when nothing else helps: upright or leaning, bending
-# the knees, moving the feet as well.
+# the knees, squatting, moving the feet as well.
 LEANING = _offsets([0.0], [0.0], [0.0], [-0.9, -0.45, 0.0, 0.45, 0.9], [0.0, 0.22, 0.45])
 BENDING = _offsets([0.0], [0.0], [0.0, -0.11], [-1.2, -0.6, 0.0, 0.6, 1.2], [0.25, 0.65])
 STEPPING = _offsets([-0.3, 0.0, 0.3], [-0.3, 0.0, 0.3], [0.0, -0.11], [-1.2, -0.6, 0.0, 0.6, 1.2], [0.05, 0.5])
-STAGES = (LEANING, BENDING, STEPPING)
+SQUATTING = _offsets([0.0], [0.0], [-0.22], [-1.2, -0.6, 0.0, 0.6, 1.2], [0.15, 0.5])
+STAGES = (LEANING, BENDING, SQUATTING, STEPPING)
 MOVES = np.zeros((45, 6))
 MOVES[:, 3:] = _offsets([0.0], [0.0], [-1.0, -0.5, 0.0, 0.5, 1.0], [-1.0, 0.0, 1.0], [-0.5, 0.0, 0.5])[:, 2:5]
 
@@ -165,8 +166,8 @@ class PostureFinder:
         turns = np.concatenate([[0.0], *([t, -t] for t in np.linspace(0.1, 1.4, 12))])
         torso_from_hand = invert_transform(self.kinematics.torso_pose(torsos)) @ world_from_hand
         arms = self.kinematics.inverse(hand, torso_from_hand, swivels[:, None] + turns)
-        inside = np.asarray(np.isfinite(self._arm_cost(hand, arms)))
+        inside = self._arm_cost(hand, arms) < np.inf
         # The first that fits is the one nearest to the wanted swivel.
         first = np.argmax(inside, axis=1)
-        chosen = arms[np.arange(len(arms)), first]
-        return np.where(inside.any(axis=1)[:, None], chosen, np.nan)
+        rows = np.arange(len(arms))
+        return np.where(inside[rows, first][:, None], arms[rows, first], np.nan)

@@ -1,6 +1,6 @@
 """How the simulated person decides with which hand and where to take an object: comfort, with noise.
 
-The perceived cost of a grasp is ``myopia * cost at the handover + (1 - myopia) * cost at the goal`` and the choice among
+The perceived cost of a grasp is ``myopia * cost at the handover + (1 - myopia) * cost at the goal``; the choice among
 the regions is a Boltzmann choice with the person's rationality (Bestick 2017, eq. 3.3).
 """
 
@@ -13,7 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray
-from handover_ros.sim.person_posture import BENDING, COARSE_SWIVELS, LEANING, STAGES, STEPPING, Posture, PostureFinder
+from handover_ros.sim.person_posture import (
+    BENDING,
+    COARSE_SWIVELS,
+    LEANING,
+    SQUATTING,
+    STAGES,
+    STEPPING,
+    Posture,
+    PostureFinder,
+)
 from handover_ros.sim.person_spec import HANDS
 
 GRID_LENGTH, GRID_ANGLE = 0.06, 0.5
@@ -189,7 +198,7 @@ class GraspChooser:
         """
         if world_from_goal is None:
             return None
-        for offsets in (np.concatenate([LEANING, BENDING]), STEPPING):
+        for offsets in (np.concatenate([LEANING, BENDING, SQUATTING]), STEPPING):
             arms = self._costs(grasps, world_from_goal, offsets, base)
             for hand in HANDS:
                 arms[hand][:, below_surface(world_from_goal @ grasps[hand].poses, world_from_goal[2, 3])] = np.inf

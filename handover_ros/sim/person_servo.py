@@ -52,7 +52,7 @@ class HandServo:
         return error
 
     def correct(self, data: mujoco.MjData, error: FloatArray, step: float) -> None:
-        """Move the correction so that the error (6,) shrinks, by damped least squares; ``step``: since the last call [s]."""
+        """Move the correction so that the error (6,) shrinks, by damped least squares; ``step`` [s] has passed."""
         mujoco.mj_jacSite(self._model, data, self._linear, self._angular, self.site)
         jacobian = np.concatenate([self._linear[:, self._columns], self._angular[:, self._columns]])
         system = jacobian @ jacobian.T

@@ -194,8 +194,8 @@ class Marker(Schema):
 class PersonSpec(Schema):
     """One simulated person.
 
-    Attributes follow the YAML file: lengths [m], limits [rad] and [m], mass [kg] and stature [m], timing, sway, comfort,
-    markers. Arrays derived from them are read-only; joints are ordered as ``JOINTS``.
+    Attributes follow the YAML file: lengths [m], limits [rad] and [m], mass [kg], stature [m], timing, sway, comfort
+    and markers. Arrays derived from them are read-only; joints are ordered as ``JOINTS``.
     """
 
     description: str

@@ -68,13 +68,14 @@ class PersonCell:
                 contype=2, conaffinity=6,
             )  # fmt: skip
         robot = world.add_body(name="robot", mocap=True, pos=position, quat=quaternion)
-        gripper = [0, 0, 0.19]
-        robot.add_site(name="robot/left_gripper", pos=[0, 0, 0.09], quat=[0, 1, 0, 0])
-        if object_name in ("mug", "glass", "pitcher"):
-            robot.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*gripper, 0, 0, 0.3], size=[0.035, 0, 0],
-                rgba=[0.8, 0.2, 0.15, 1], contype=0, conaffinity=0,
-            )  # fmt: skip
+        gripper = thing.robot_grasps[0].region.centre()
+        place, turn = _mujoco_pose(gripper)
+        robot.add_site(name="robot/left_gripper", pos=place, quat=turn)
+        ends = [*(place - 0.04 * gripper[:3, 2]), *(place - 0.20 * gripper[:3, 2])]
+        robot.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[0.035, 0, 0], rgba=[0.8, 0.2, 0.15, 1],
+            contype=0, conaffinity=0,
+        )  # fmt: skip
         add_person(spec, person, WORLD_FROM_FEET)
         for holder in ("robot", *(f"person/{hand}_hand" for hand in HANDS)):
             weld = spec.add_equality(
