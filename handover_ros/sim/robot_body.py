@@ -32,6 +32,7 @@ JOINT_ARMATURE = 0.1
 GREATEST_EFFORT = 200.0  # [N m] for joints whose URDF limit is a placeholder (Baxter's head: 50,000)
 FINGER_STIFFNESS = 4000.0  # [N/m]
 FINGER_ARMATURE = 0.2  # [kg]
+SMALLEST_SEEN = 0.03  # [m] Baxter's URDF marks frames of sensors with little coloured solids
 SMALLEST_INERTIA = 1e-5  # [kg m2] of a body, so that light fingers stay well conditioned
 DARKEST = 0.07  # the meshes' blacks would swallow all shape
 
@@ -136,7 +137,7 @@ def _add_visual(
         _add_display(spec, body, body_from_shape, shape.size)
         return
     if shape.mesh is None:
-        if max(shape.size) > 0.004:  # Baxter's URDF marks some frames with a tiny sphere
+        if max(shape.size) > SMALLEST_SEEN:
             geom = _add_solid(body, body_from_shape, shape.type, shape.size)
             geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, 0, 0
             geom.material = _material(spec, shape.colour)

@@ -126,14 +126,15 @@ def build_world(
 def _add_surroundings(spec: mujoco.MjSpec, scene: Scene) -> None:
     """Add floor, boxes, lights, sky and cameras."""
     visual = spec.visual
-    visual.headlight.ambient = [0.32, 0.32, 0.34]
+    visual.headlight.ambient = [0.36, 0.36, 0.38]
     visual.headlight.diffuse = [0.22, 0.22, 0.22]
     visual.headlight.specular = [0.0, 0.0, 0.0]
     visual.quality.shadowsize = 4096
     visual.quality.offsamples = 4
     getattr(visual, "global").offwidth, getattr(visual, "global").offheight = PICTURE_SIZE
-    visual.map.znear, visual.map.zfar = 0.02, 40.0
-    spec.stat.center, spec.stat.extent = [0.8, 0.0, 0.9], 2.5
+    visual.map.znear, visual.map.zfar = 0.05, 8.0
+    spec.stat.center, spec.stat.extent = [0.8, 0.0, 0.9], 3.0
+    visual.map.shadowclip = 1.4
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -158,24 +159,28 @@ def _add_surroundings(spec: mujoco.MjSpec, scene: Scene) -> None:
         name="floor", texrepeat=[1.0, 1.0], texuniform=True, reflectance=0.06, specular=0.1, shininess=0.2
     )
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    spec.worldbody.add_geom(
+    ground = spec.worldbody.add_geom(
         name=f"{SCENE_PREFIX}floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[8.0, 8.0, 0.1],
+        size=[6.0, 6.0, 0.1],
         material="floor",
         group=SCENE_GROUP,
         contype=FIXED_BIT,
         conaffinity=ROBOT_BIT | OBJECT_BIT,
     )
+    if hasattr(ground, "castshadow"):  # newer MuJoCo only; without it the floor is speckled with its own shadow
+        ground.castshadow = False
     for box in scene.boxes:
         _add_box(spec, box)
     spec.worldbody.add_light(
         name="key",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[2.5, -2.0, 4.5],
-        dir=[-0.42, 0.42, -0.80],
+        type=mujoco.mjtLightType.mjLIGHT_SPOT,
+        pos=[3.0, -2.8, 5.0],
+        dir=[-0.40, 0.47, -0.80],
+        cutoff=80.0,
+        exponent=0.5,
         castshadow=True,
-        diffuse=[0.62, 0.60, 0.56],
+        diffuse=[0.66, 0.64, 0.60],
         specular=[0.35, 0.35, 0.35],
     )
     spec.worldbody.add_light(
