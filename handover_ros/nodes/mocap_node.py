@@ -20,7 +20,7 @@ from handover_ros.nodes.convert import numpy_array, seconds_from_stamp
 from handover_ros.nodes.convert_human import fill_marker_frame, marker_set_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
-from handover_ros.nodes.streams import subscribe_stream
+from handover_ros.nodes.streams import StreamReader
 from handover_ros.objects.scene import load_scene
 from handover_ros.skeleton.torso import track_recording
 
@@ -79,17 +79,24 @@ class MocapNode(HandoverNode):
         self.marker_publisher = self.create_publisher(MarkerFrame, "mocap/markers", SENSOR_PUBLISHER)
         self.set_publisher = self.create_publisher(MarkerSet, "mocap/marker_set", LATCHED)
         self.columns: np.ndarray | None = None  # where the set's markers stand in the source's samples; -1: nowhere
+        self.absent = np.zeros(0, dtype=int)
         self.source_markers = 0
         self.source_version: int | None = None
         self.source: RecordingSource | None = None
+        self.stream: StreamReader | None = None
         self.torso_residual = math.nan
         if parameters["source"] == "recording":
             self.open_recording()
         else:
             # Reliable on both sides: a frame is only lost when the node falls 10 frames behind.
+            self.stream = StreamReader(self, MarkerFrame, "sim/markers", self.on_source_frame, SENSOR_PUBLISHER)
             self.create_subscription(MarkerSet, "sim/marker_set", self.on_source_set, LATCHED)
-            subscribe_stream(self, MarkerFrame, "sim/markers", self.on_source_frame, SENSOR_PUBLISHER)
             self.degraded("waiting for sim/marker_set")
+
+    def on_stop(self) -> None:
+        """End the stream's thread."""
+        if self.stream is not None:
+            self.stream.stop()
 
     # Recording -------------------------------------------------------------------------------------------------
 
@@ -170,9 +177,11 @@ class MocapNode(HandoverNode):
             self.last_problem = str(error)
             self.degraded(f"sim/marker_set: {error}")
             return
-        self.columns = np.array([-1 if column is None else column for column in columns])
-        self.source_markers, self.source_version = len(names), message.version
-        self.pipeline.restart()
+        with self.stream.lock:
+            self.columns = np.array([-1 if column is None else column for column in columns])
+            self.absent = np.flatnonzero(self.columns < 0)
+            self.source_markers, self.source_version = len(names), message.version
+            self.pipeline.restart()
         self.announce(message.rate)
         self.ready(f"{len(columns)} markers of {self.marker_set.name} at {message.rate:g} Hz")
 
@@ -191,7 +200,8 @@ class MocapNode(HandoverNode):
             self.reject(f"device_time: {message.device_time} is not finite")
             return
         ordered = positions[self.columns]
-        ordered[self.columns < 0] = np.nan
+        if self.absent.size:
+            ordered[self.absent] = np.nan
         stamp = seconds_from_stamp(message.header.stamp)
         reference = stamp if stamp > 0.0 else self.seconds_now()
         self.take(MarkerSample(message.device_frame, message.device_time, reference, ordered))

@@ -10,7 +10,7 @@ from handover_ros.mocap.marker_sets import load_marker_set
 from handover_ros.nodes.convert_human import fill_skeleton_state, human_visual, marker_frame_from_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
-from handover_ros.nodes.streams import subscribe_stream
+from handover_ros.nodes.streams import StreamReader
 from handover_ros.skeleton.torso import TorsoTracker, TrackingState
 
 SILENT_AFTER = 1.0  # [s] of wall time without frames until the node says so
@@ -40,25 +40,30 @@ class SkeletonNode(HandoverNode):
         self.message = SkeletonState()
         self.state_publisher = self.create_publisher(SkeletonState, "human/skeleton_state", SENSOR_PUBLISHER)
         self.visual_publisher = self.create_publisher(MarkerArray, "human/visual", SENSOR_PUBLISHER)
-        self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
         # Reliable on both sides: a frame is only lost when the node falls 10 frames behind.
-        subscribe_stream(self, MarkerFrame, "mocap/markers", self.on_markers, SENSOR_PUBLISHER)
+        self.stream = StreamReader(self, MarkerFrame, "mocap/markers", self.on_markers, SENSOR_PUBLISHER)
+        self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
         self.degraded("waiting for mocap/marker_set")
+
+    def on_stop(self) -> None:
+        """End the stream's thread."""
+        self.stream.stop()
 
     def on_marker_set(self, message: MarkerSet) -> None:
         """Prepare the tracker for the markers of the stream."""
         try:
             marker_set = load_marker_set(self.parameters["marker_set"] or message.name)
-            self.tracker = TorsoTracker(
-                marker_set.torso, tuple(message.marker_names), self.parameters["template_frames"]
-            )
+            names = tuple(message.marker_names)
+            tracker = TorsoTracker(marker_set.torso, names, self.parameters["template_frames"])
         except HandoverError as error:
-            self.tracker = None
+            with self.stream.lock:
+                self.tracker = None
             self.last_problem = str(error)
             self.degraded(f"mocap/marker_set: {error}")
             return
-        self.markers, self.set_version = len(message.marker_names), message.version
-        self.last_stamp = float("-inf")
+        with self.stream.lock:
+            self.tracker, self.markers, self.set_version = tracker, len(names), message.version
+            self.last_stamp = float("-inf")
         self.ready(f"tracking the torso with marker set {marker_set.name}")
 
     def on_markers(self, message: MarkerFrame) -> None:
