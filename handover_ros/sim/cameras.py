@@ -1,4 +1,4 @@
-"""Simulated optical motion capture: which markers enough cameras see, measured with noise, on the device's own clock."""
+"""Simulated optical motion capture: markers that enough cameras see, with noise, on the device's own clock."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class Faults:
 
     def _check_magnitude(self, kind: str, magnitude: float) -> None:
         """Refuse a magnitude that the kind cannot have."""
-        if kind == "camera_drop" and (magnitude != int(magnitude) or not 0 <= magnitude < self._camera_count):
+        if kind == "camera_drop" and magnitude not in range(self._camera_count):
             raise BadRequestError(
                 f"camera_drop: magnitude {magnitude:g} must be a camera index, 0 to {self._camera_count - 1}"
             )

@@ -123,5 +123,7 @@ def test_groups_bits_mass_and_markers_off_the_skin(name):
         start = data.body(f"{PREFIX}{person.markers[label].segment}").xpos
         inward = start - site if label[1:4] == "ARM" else torso * [1, 1, 0] + [0, 0, site[2]] - site
         group = np.array([0, 0, 0, 0, 1, 0], dtype=np.uint8)
-        distance = mujoco.mj_ray(model, data, site, inward / np.linalg.norm(inward), group, 1, -1, np.zeros(1, np.int32))
+        distance = mujoco.mj_ray(
+            model, data, site, inward / np.linalg.norm(inward), group, 1, -1, np.zeros(1, np.int32)
+        )
         assert distance > 0.004, label
