@@ -13,7 +13,7 @@ from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.scene import Scene
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
-from handover_ros.planning.picking import Pick, Picking
+from handover_ros.planning.picking import Holding, Pick, Picking, held_pick
 from handover_ros.planning.schemes import Offer, Scheme
 from handover_ros.planning.types import CellSnapshot, HandoverPlan, HandoverRequest, PlannedStage, PlannerSettings
 from handover_ros.robot.collision import Reason
@@ -24,7 +24,9 @@ from handover_ros.robot.reach import Reasons
 POSTURES_TRIED = 2  # per pick and offer
 PATHS_TRIED = 4  # per offer
 COMBINATIONS_KEPT = 8
-PERSON_SIDE = 0.5  # cosine between gripper approach and the person's reach above which the robot would be in the person's way
+PERSON_SIDE = (
+    0.5  # cosine between gripper approach and the person's reach above which the robot would be in the person's way
+)
 TURN_WEIGHT = 0.4  # [rad] of joint motion that a gripper pointing to the person instead of across is worth
 
 
@@ -92,23 +94,20 @@ class HandoverPlanner:
         model = self.motion.object_model(request.object_name)
         scheme = self._scheme(request.scheme)
         world_from_object = self.motion.object_pose(snapshot, request.object_name)
-        arms = self._arms(request.arm, world_from_object)
+        arms = self._arms(request, world_from_object, snapshot)
         offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.world_from_torso)
-        # Arms already between or at something first draw back from it.
-        leads = {arm: self.motion.leave(arm, self.motion.start_of(arm, snapshot), snapshot) for arm in arms}
         for arm in arms:
-            ready = replace(snapshot, arms={**snapshot.arms, arm: leads[arm][-1]})
-            picking = Picking(self.motion, arm, request.object_name, ready, search.picking)
-            for offer in offers:
+            lead, ready, picking = self._picking(arm, request.object_name, snapshot, search)
+            for offer in offers if picking is not None else ():
                 search.offers += 1
                 for combination in self._combinations(offer, picking, ready, search):
-                    stages = self._stages(combination, leads[arm], ready, search)
+                    stages = self._stages(combination, lead, ready, search)
                     if stages is not None:
                         elapsed = time.monotonic() - started
                         return _plan(request, scheme, combination, stages, elapsed, search)
                 if search.out_of_time:
                     break
-            search.picks += picking.found
+            search.picks += picking.found if picking is not None else 0
         raise self._refusal(request, search, arms)
 
     def _scheme(self, name: str) -> Scheme:
@@ -117,16 +116,40 @@ class HandoverPlanner:
             raise UnknownNameError("scheme", chosen, tuple(self.schemes))
         return self.schemes[chosen]
 
-    def _arms(self, name: str, world_from_object: FloatArray) -> list[str]:
-        """Return the arms to try: the one asked for, or all, the one whose home is nearest to the object first."""
+    def _arms(self, request: HandoverRequest, world_from_object: FloatArray, snapshot: CellSnapshot) -> list[str]:
+        """Return the arms to try: the one that holds the object or is asked for; else all, that with its home nearest first."""
         robot = self.motion.robot
-        if name:
-            return [robot.arm(name).name]
-        homes = {arm: robot.gripper_pose(arm, robot.arm(arm).home)[:3, 3] for arm in robot.arm_names}
-        return sorted(homes, key=lambda arm: float(np.linalg.norm(homes[arm] - world_from_object[:3, 3])))
+        asked = [robot.arm(request.arm).name] if request.arm else list(robot.arm_names)
+        held = {arm: self.motion.held_by(arm, snapshot) for arm in robot.arm_names}
+        holding = [arm for arm, name in held.items() if name == request.object_name]
+        free = [arm for arm in asked if not held[arm]]
+        if holding or not free:
+            if not set(holding) & set(asked):
+                arm = (holding or asked)[0]
+                raise InfeasibleError(f"the {arm} arm holds {held[arm]}; let it put that back first", ErrorCode.BUSY)
+            return [arm for arm in holding if arm in asked]
+        homes = {arm: robot.gripper_pose(arm, robot.arm(arm).home)[:3, 3] for arm in free}
+        return sorted(free, key=lambda arm: float(np.linalg.norm(homes[arm] - world_from_object[:3, 3])))
+
+    def _picking(
+        self, arm: str, name: str, snapshot: CellSnapshot, search: Search
+    ) -> tuple[FloatArray, CellSnapshot, Picking | Holding | None]:
+        """Return an arm's way from where it stands, the cell after that, and how it can pick the object up (None: not at all).
+
+        A hand that stands at an object without holding it first draws back.
+        """
+        start = self.motion.start_of(arm, snapshot)
+        if self.motion.held_by(arm, snapshot) == name:
+            pick = held_pick(self.motion, arm, name, snapshot)
+            if pick is None:
+                search.picking.add(Reason.BLOCKED, "straight way up with the object")
+            return start[None], snapshot, None if pick is None else Holding(pick)
+        lead = self.motion.leave(arm, start, snapshot)
+        ready = replace(snapshot, arms={**snapshot.arms, arm: lead[-1]})
+        return lead, ready, Picking(self.motion, arm, name, ready, search.picking)
 
     def _combinations(
-        self, offer: Offer, picking: Picking, snapshot: CellSnapshot, search: Search
+        self, offer: Offer, picking: Picking | Holding, snapshot: CellSnapshot, search: Search
     ) -> list[Combination]:
         """Return the picks with which an arm can be at an offer, the cheapest first."""
         found: list[Combination] = []
@@ -151,13 +174,13 @@ class HandoverPlanner:
                 found.append(Combination(pick, offer, world_from_gripper, posture, cost))
         return sorted(found, key=lambda combination: combination.cost)[:PATHS_TRIED]
 
-    def _grasps_at(self, offer: Offer, picking: Picking) -> list[tuple[int, FloatArray, float]]:
+    def _grasps_at(self, offer: Offer, picking: Picking | Holding) -> list[tuple[int, FloatArray, float]]:
         """Return the grasps that leave the person's hand and side free at an offer, those pointing to the person first.
 
         Each with its place in ``picking``, ``world_from_gripper`` and the cosine between gripper and the person's reach.
         """
         usable = []
-        for index, (_, object_from_gripper) in enumerate(picking.grasps):
+        for index, object_from_gripper in enumerate(picking.grasps):
             world_from_gripper = offer.world_from_object @ object_from_gripper
             towards = float(world_from_gripper[:3, 2] @ offer.reach)
             apart = np.linalg.norm(world_from_gripper[:3, 3] - offer.world_from_hand[:3, 3])
@@ -183,27 +206,44 @@ class HandoverPlanner:
         back = motion.back_off(arm, posture, reach.validity(letting_go, standing))
         away = reach.validity(motion.checker(arm, given), standing)
         home = motion.robot.arm(arm).home
-        path_home = None if back is None or not away(back[-1]) else motion.free_path(
-            arm, back[-1], home, away, search.deadline
-        )
-        empty = motion.checker(arm, snapshot)
-        whole = standing.copy()
-        empty.tolerate_start(whole)
-        way = reach.validity(empty, standing)
-        approach = motion.free_path(arm, lead[-1], pick.approach_line[0], way, search.deadline)
-        if back is None or path_home is None or approach is None:
+        path_home = None
+        if back is not None and away(back[-1]):
+            home = motion.robot.arm(arm).home
+            path_home = motion.free_path(arm, back[-1], home, away, search.deadline)
+        fetch = self._fetch(pick, lead, snapshot, search)
+        if back is None or path_home is None or fetch is None:
             search.paths_failed += 1
+            return None
+        careful = settings.careful_speed
+        return (
+            *fetch,
+            PlannedStage("present", motion.timed(arm, present, carrying, settings.present_speed)),
+            PlannedStage("retract", motion.timed(arm, back, None, careful), motion.robot.arm(arm).opening[1]),
+            PlannedStage("home", motion.timed(arm, path_home, away)),
+        )
+
+    def _fetch(
+        self, pick: Pick, lead: FloatArray, snapshot: CellSnapshot, search: Search
+    ) -> tuple[PlannedStage, ...] | None:
+        """Return the stages until the object is in the gripper and off its support, or None when the way there is blocked."""
+        motion, arm, settings = self.motion, pick.arm, self.motion.settings
+        lift = PlannedStage("lift", motion.timed(arm, pick.lift_line, None, settings.careful_speed))
+        if pick.grasp is None:
+            return (lift,) if len(pick.lift_line) > 1 else ()
+        checker = motion.checker(arm, snapshot)
+        standing = motion.standing(snapshot)
+        checker.tolerate_start(standing)
+        way = motion.reaches[arm].validity(checker, standing)
+        path = motion.free_path(arm, lead[-1], pick.approach_line[0], way, search.deadline)
+        if path is None:
             return None
         opening = motion.robot.arm(arm).opening
         closed = max(opening[0], pick.grasp.width - settings.squeeze)
-        careful = settings.careful_speed
+        whole_path, corners = np.vstack([lead, path[1:]]), None if len(lead) > 1 else way
         return (
-            PlannedStage("approach", motion.timed(arm, np.vstack([lead, approach[1:]]), None if len(lead) > 1 else way), opening[1]),
-            PlannedStage("grasp", motion.timed(arm, pick.approach_line, None, careful), closed),
-            PlannedStage("lift", motion.timed(arm, pick.lift_line, None, careful)),
-            PlannedStage("present", motion.timed(arm, present, carrying, settings.present_speed)),
-            PlannedStage("retract", motion.timed(arm, back, None, careful)),
-            PlannedStage("home", motion.timed(arm, path_home, away)),
+            PlannedStage("approach", motion.timed(arm, whole_path, corners), opening[1]),
+            PlannedStage("grasp", motion.timed(arm, pick.approach_line, None, settings.careful_speed), closed),
+            lift,
         )
 
     def _present(self, chosen: Combination, carrying: Validity, search: Search) -> FloatArray | None:
@@ -255,18 +295,19 @@ def _plan(
     """Return the plan of a combination with its stages."""
     offer, pick = chosen.offer, chosen.pick
     where = np.round(offer.world_from_object[:3, 3], 2).tolist()
+    taken = f"takes {request.object_name} by {pick.grasp.region.name}" if pick.grasp else f"holds {request.object_name}"
     turned = f", {offer.region} turned to the person" if offer.region else ""
     place = "the scheme's own position" if offer.nominal else "beside the scheme's position, which was out of reach"
     refused = search.offering.sentence()
     text = (
-        f"The {pick.arm} arm takes {request.object_name} by {pick.grasp.region.name} and offers it at {where} m ({place})"
+        f"The {pick.arm} arm {taken} and offers it at {where} m ({place})"
         f"{turned}. Looked at {search.offers} offers and {search.picks} grasps; refused: {refused}."
     )
     return HandoverPlan(
         object_name=request.object_name,
         scheme=scheme.name,
         arm=pick.arm,
-        robot_grasp=pick.grasp.region.name,
+        robot_grasp=pick.grasp.region.name if pick.grasp else "",
         object_from_gripper=pick.object_from_gripper,
         world_from_object=offer.world_from_object,
         world_from_gripper=chosen.world_from_gripper,

@@ -21,6 +21,7 @@ from handover_ros.robot.shapes import Solid, object_solids, person_solids
 from handover_ros.robot.trajectory import Trajectory, parameterise
 
 START_TOLERANCE = 0.02  # [rad] that a measured displacement may lie outside its limits
+HELD_DISTANCE = 0.02  # [m] from between the fingertips to the object in a closed gripper
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT_SEARCH = PathSettings(iterations=700)
 FREE_SEARCH = PathSettings(iterations=2000)
@@ -74,7 +75,8 @@ class MotionPlanner:
         if name not in snapshot.objects:
             seen = ", ".join(sorted(snapshot.objects)) or "nothing"
             raise InfeasibleError(
-                f"object {name!r} is not seen; seen: {seen}; put it into view of the cameras", ErrorCode.OBJECT_NOT_FOUND
+                f"object {name!r} is not seen; seen: {seen}; put it into view of the cameras",
+                ErrorCode.OBJECT_NOT_FOUND,
             )
         return snapshot.objects[name]
 
@@ -89,6 +91,19 @@ class MotionPlanner:
             raise BadRequestError(f"the displacements of the {arm} arm are not known")
         start = model.check(snapshot.arms[arm], "present displacements", START_TOLERANCE)
         return np.clip(start, model.lower, model.upper)
+
+    def held_by(self, arm: str, snapshot: CellSnapshot) -> str:
+        """Return the name of the object in an arm's closed gripper; empty: none that is seen."""
+        if arm not in snapshot.gripping or arm not in snapshot.arms:
+            return ""
+        fingertips = self.robot.gripper_pose(arm, snapshot.arms[arm])[:3, 3]
+        distances = {
+            name: min(solid.distance(fingertips) for solid in object_solids(self.catalogue[name], pose))
+            for name, pose in snapshot.objects.items()
+            if name in self.catalogue
+        }
+        nearest = min(distances, key=lambda name: distances[name], default="")
+        return nearest if nearest and distances[nearest] <= HELD_DISTANCE else ""
 
     def standing(self, snapshot: CellSnapshot) -> FloatArray:
         """Return the whole configuration (nq,) with all arms where they are."""
@@ -209,7 +224,7 @@ class MotionPlanner:
             arm: Name of the arm.
             goal: Displacements (n,) [rad].
             snapshot: The cell.
-            held_name: Object in the gripper, moved along; empty: none.
+            held_name: Object in the gripper, moved along; empty: what the closed gripper is seen to hold, if anything.
             time_budget: Wall time [s]; 0: the default.
 
         Raises:
@@ -219,6 +234,7 @@ class MotionPlanner:
         """
         model = self.robot.arm(arm)
         goal = model.check(goal)
+        held_name = held_name or self.held_by(arm, snapshot)
         start = self.start_of(arm, snapshot)
         deadline = time.monotonic() + (time_budget or self.settings.time_budget)
         whole = self.standing(snapshot)
@@ -308,7 +324,8 @@ class MotionPlanner:
         problem = checker.why(whole)
         if problem is not None:
             raise InfeasibleError(
-                f"the {arm} arm would be in trouble at its goal: {problem[0].value} ({problem[1]})", ErrorCode.IN_COLLISION
+                f"the {arm} arm would be in trouble at its goal: {problem[0].value} ({problem[1]})",
+                ErrorCode.IN_COLLISION,
             )
         raise InfeasibleError(
             f"no collision-free path of the {arm} arm was found in {self.settings.time_budget:g} s; clear its way or "

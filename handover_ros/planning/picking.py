@@ -24,20 +24,20 @@ OPENING_CLEARANCE = 0.004  # [m] the open gripper must be wider than the object
 
 @dataclass(frozen=True, eq=False)
 class Pick:
-    """A reachable way to pick an object up.
+    """A reachable way to pick an object up, or to carry one that is held already.
 
     Attributes:
         arm: The arm.
-        grasp: The robot grasp.
+        grasp: The robot grasp; None: the object is held already.
         object_from_gripper: Shape (4, 4).
-        approach_line: Displacements from before the object to the grasp (k, n) [rad].
-        lift_line: Displacements from the grasp straight up (k, n) [rad].
+        approach_line: Displacements from before the object to the grasp (k, n) [rad]; k = 1 when it is held already.
+        lift_line: Displacements from the grasp straight up (k, n) [rad]; k = 1: it is free already.
         held: The object as held afterwards.
         carrying: Collision checks while it is carried.
     """
 
     arm: str
-    grasp: RobotGrasp
+    grasp: RobotGrasp | None
     object_from_gripper: FloatArray
     approach_line: FloatArray
     lift_line: FloatArray
@@ -75,12 +75,13 @@ class Picking:
 
     Attributes:
         arm: The arm.
-        grasps: Grasps and their poses ``object_from_gripper``, as ``grasp_poses`` orders them.
+        grasps: Poses ``object_from_gripper``, as ``grasp_poses`` orders them.
         found: Number of reachable ones so far.
     """
 
     def __init__(self, planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot, reasons: Reasons) -> None:
-        self.grasps = grasp_poses(planner.object_model(name), planner.robot.arm(arm))
+        self._grasps = grasp_poses(planner.object_model(name), planner.robot.arm(arm))
+        self.grasps = [pose for _, pose in self._grasps]
         self.found = 0
         self.arm = arm
         self._planner, self._name = planner, name
@@ -94,7 +95,7 @@ class Picking:
     def __getitem__(self, index: int) -> Pick | None:
         """Return the pick of a grasp, or None when it cannot be reached; refusals go to the reasons."""
         if index not in self._known:
-            self._known[index] = self._make(*self.grasps[index])
+            self._known[index] = self._make(*self._grasps[index])
             self.found += self._known[index] is not None
         return self._known[index]
 
@@ -116,27 +117,73 @@ class Picking:
                 reasons.add(Reason.BLOCKED, "straight way to the object")
                 continue
             carrying = carrying or planner.checker(arm, self._snapshot, held)
-            lift = self._lift(posture, carrying, held)
+            lift = _lift(planner, arm, posture, self._snapshot, carrying, held)
             if lift is None:
                 reasons.add(Reason.BLOCKED, "straight way up with the object")
                 continue
             return Pick(arm, grasp, object_from_gripper, away[::-1].copy(), lift, held, carrying)
         return None
 
-    def _lift(self, posture: FloatArray, carrying: CollisionChecker, held: HeldObject) -> FloatArray | None:
-        """Return displacements (k, n) that lift a grasped object off its support to where it is free, or None."""
-        planner, arm = self._planner, self.arm
-        checker = planner.checker(arm, self._snapshot, held)
-        whole = self._standing.copy()
-        whole[planner.robot.arm_indices(arm)] = posture
-        checker.ignore_support(whole)
-        valid = planner.reaches[arm].validity(checker, self._standing)
-        free = planner.reaches[arm].validity(carrying, self._standing)
-        for share in (1.0, 0.6):
-            path = planner.line(arm, posture, share * planner.settings.lift_height * UP, valid)
-            if path is not None and free(path[-1]):
-                return path
+
+class Holding:
+    """The one way to go on with an object that is held already; used like ``Picking``.
+
+    Attributes:
+        arm: The arm.
+        grasps: The one pose ``object_from_gripper``.
+        found: 1.
+    """
+
+    def __init__(self, pick: Pick) -> None:
+        self.arm = pick.arm
+        self.grasps = [pick.object_from_gripper]
+        self.found = 1
+        self._pick = pick
+
+    def __getitem__(self, index: int) -> Pick | None:
+        """Return the pick."""
+        return self._pick
+
+    def refused(self, index: int) -> bool:
+        """Return False: the object is in the gripper."""
+        return False
+
+
+def held_pick(planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot) -> Pick | None:
+    """Return how to go on with an object that an arm holds already, or None when it cannot be lifted off its support."""
+    posture = planner.start_of(arm, snapshot)
+    world_from_gripper = planner.robot.gripper_pose(arm, posture)
+    object_from_gripper = invert_transform(planner.object_pose(snapshot, name)) @ world_from_gripper
+    held = planner.held_object(arm, name, invert_transform(object_from_gripper))
+    carrying = planner.checker(arm, snapshot, held)
+    free = planner.reaches[arm].validity(carrying, planner.standing(snapshot))
+    lift = posture[None] if free(posture) else _lift(planner, arm, posture, snapshot, carrying, held)
+    if lift is None:
         return None
+    return Pick(arm, None, object_from_gripper, posture[None], lift, held, carrying)
+
+
+def _lift(
+    planner: MotionPlanner,
+    arm: str,
+    posture: FloatArray,
+    snapshot: CellSnapshot,
+    carrying: CollisionChecker,
+    held: HeldObject,
+) -> FloatArray | None:
+    """Return displacements (k, n) that lift a grasped object off its support to where it is free, or None."""
+    standing = planner.standing(snapshot)
+    checker = planner.checker(arm, snapshot, held)
+    whole = standing.copy()
+    whole[planner.robot.arm_indices(arm)] = posture
+    checker.ignore_support(whole)
+    valid = planner.reaches[arm].validity(checker, standing)
+    free = planner.reaches[arm].validity(carrying, standing)
+    for share in (1.0, 0.6):
+        path = planner.line(arm, posture, share * planner.settings.lift_height * UP, valid)
+        if path is not None and free(path[-1]):
+            return path
+    return None
 
 
 def _spread(count: int, kept: int) -> list[int]:

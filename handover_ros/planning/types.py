@@ -48,11 +48,13 @@ class CellSnapshot:
         arms: Displacements [rad] of each arm's joints. Shape (n,).
         objects: ``world_from_object`` of each object that is seen. Shape (4, 4).
         world_from_torso: The person's torso frame, or None when nobody is tracked. Shape (4, 4).
+        gripping: Arms with something between their closed fingers.
     """
 
     arms: Mapping[str, FloatArray]
     objects: Mapping[str, FloatArray] = field(default_factory=dict)
     world_from_torso: FloatArray | None = None
+    gripping: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Check the poses."""
@@ -85,7 +87,7 @@ class HandoverPlan:
         object_name: The object.
         scheme: The scheme that chose the pose.
         arm: The robot's arm.
-        robot_grasp: Name of the robot's grasp region.
+        robot_grasp: Name of the robot's grasp region; empty: the robot held the object already.
         object_from_gripper: Shape (4, 4).
         world_from_object: Object pose at which it is offered. Shape (4, 4).
         world_from_gripper: Gripper pose there. Shape (4, 4).
@@ -93,7 +95,8 @@ class HandoverPlan:
         facing_region: Human grasp region turned to the person; empty: none.
         world_from_hand: The person's hand there. Shape (4, 4).
         nominal: Whether the scheme's own position was reachable, not only one beside it.
-        stages: approach, grasp, lift, present, retract, home.
+        stages: approach, grasp, lift, present, retract, home; without the first two (or three) when the robot holds the object
+            already.
         planning_time: Wall time [s].
         candidates: Handover poses looked at.
         explanation: Sentences for a person.

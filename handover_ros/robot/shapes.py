@@ -43,6 +43,13 @@ class Solid:
             return coal.Cylinder(self.size[0], self.size[1])
         return coal.Capsule(self.size[0], self.size[1])
 
+    def distance(self, point: FloatArray) -> float:
+        """Return the distance [m] of a point (3,), given in the parent's frame, from the surface; negative inside."""
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        there = coal.Transform3s(np.eye(3), np.asarray(point, dtype=float))
+        here = coal.Transform3s(self.parent_from_solid[:3, :3].copy(), self.parent_from_solid[:3, 3].copy())
+        return float(coal.distance(self.geometry(), here, coal.Sphere(1e-4), there, request, result))
+
     def placed(self, target_from_parent: FloatArray) -> Solid:
         """Return the same solid with its parent's pose applied."""
         return Solid(self.name, self.type, self.size, target_from_parent @ self.parent_from_solid)
