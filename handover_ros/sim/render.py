@@ -42,7 +42,9 @@ class Renderer:
 
     def __init__(self, world: World, width: int = 1280, height: int = 720) -> None:
         if not (16 <= width <= PICTURE_SIZE[0] and 16 <= height <= PICTURE_SIZE[1]):
-            raise BadModelError(f"picture size {width} x {height} must be 16 x 16 to {PICTURE_SIZE[0]} x {PICTURE_SIZE[1]}")
+            raise BadModelError(
+                f"picture size {width} x {height} must be 16 x 16 to {PICTURE_SIZE[0]} x {PICTURE_SIZE[1]}"
+            )
         self._world = world
         self._viewport = mujoco.MjrRect(0, 0, width, height)
         self._picture = np.empty((height, width, 3), dtype=np.uint8)

@@ -215,8 +215,8 @@ class RobotController:
                 worst = int(np.argmax(gap))
                 raise BadRequestError(
                     f"joint trajectory: {arm.joint_names[worst]} starts at {points[0, worst]:.3f} rad, but its command "
-                    f"is {position[worst]:.3f} rad now; start within {START_TOLERANCE} rad of it or give the first point "
-                    "a time_from_start above 0"
+                    f"is {position[worst]:.3f} rad now; start within {START_TOLERANCE} rad of it, or give the first "
+                    "point a time_from_start above 0"
                 )
             knots, points, speeds = knots[1:], points[1:], speeds[1:]
         if len(knots) == 0:

@@ -45,6 +45,7 @@ class SimulationOptions:
         mocap_rate: Marker frames a second [Hz], 50 to 480.
         marker_noise: Standard deviation of a marker's position along each axis [m].
         occlusion_fraction: Share of samples lost at random, besides those that no two cameras see.
+        start_time: What the simulation's clock shows at the start [s].
     """
 
     robot: str = ""
@@ -53,6 +54,7 @@ class SimulationOptions:
     mocap_rate: float = 240.0
     marker_noise: float = 0.0005
     occlusion_fraction: float = 0.0
+    start_time: float = 0.0
 
 
 class Simulation:
@@ -76,7 +78,8 @@ class Simulation:
         rate = self.options.physics_rate
         if not SLOWEST_PHYSICS <= rate <= FASTEST_PHYSICS or rate % PERSON_RATE != 0.0:
             raise BadModelError(
-                f"physics_rate {rate} Hz: must be a multiple of {PERSON_RATE:g} from {SLOWEST_PHYSICS:g} to {FASTEST_PHYSICS:g}"
+                f"physics_rate {rate} Hz: must be a multiple of {PERSON_RATE:g} "
+                f"from {SLOWEST_PHYSICS:g} to {FASTEST_PHYSICS:g}"
             )
         self.timestep = 1.0 / rate
         catalogue = load_catalogue()
@@ -91,8 +94,9 @@ class Simulation:
         self._offers = OfferWatch(scene)
         self._person_every = round(rate / PERSON_RATE)
         self._watch_every = round(rate / WATCH_RATE)
-        self._epoch = 0.0
+        self._epoch = self.options.start_time
         self._events: list[SimulationEvent] = []
+        self._captures, self._next_capture = 0, 0.0
         self._frames: list[tuple[float, CapturedFrame]] = []
         self.person: Person | None = None
         self.mocap: MotionCapture | None = None
@@ -103,17 +107,22 @@ class Simulation:
     @property
     def time(self) -> float:
         """Simulated time [s]; it goes on over a reset."""
-        return self._epoch + self._steps * self.timestep
+        return self._epoch + self._now
+
+    @property
+    def _now(self) -> float:
+        """Time since the last reset [s]: what happens depends on this one only."""
+        return self._steps * self.timestep
 
     def step(self) -> None:
         """Advance by one physics step.
 
         The positions of all bodies (first half of MuJoCo's step) are those of ``time`` whenever this is not running.
         """
-        data, now = self.data, self._steps * self.timestep
+        data, now = self.data, self._now
         if self._steps % self._person_every == 0:
             self._update_person(now)
-        self.robot.update(data, self.time)
+        self.robot.update(data, now)
         self.grippers.update(data, self.timestep)
         mujoco.mj_step2(self.model, data)
         mujoco.mj_step1(self.model, data)
@@ -122,7 +131,7 @@ class Simulation:
         self._note(self.grasping.update_grippers(data))
         if self._steps % self._watch_every == 0:
             self._events += self._watch.update(data, self.grasping, self.time)
-        if self.mocap is not None and self._steps * self.timestep >= self._next_capture - 1e-9:
+        if self.mocap is not None and self._now >= self._next_capture - 1e-9:
             self._frames.append((self.time, self.mocap.capture(data, self.time)))
             self._captures += 1
             self._next_capture = self._captures / self.options.mocap_rate
@@ -143,7 +152,7 @@ class Simulation:
             self.grasping.reset(self.data)
             self._watch.reset()
             self._offers.reset()
-            for name, (position, velocity) in self.world.object_joints.items():
+            for position, velocity in self.world.object_joints.values():
                 self.data.qpos[position : position + 7] = self.model.qpos0[position : position + 7]
                 self.data.qvel[velocity : velocity + 6] = 0.0
             mujoco.mj_forward(self.model, self.data)
@@ -169,15 +178,15 @@ class Simulation:
         Raises:
             BadRequestError: The robot is held, or the trajectory cannot be followed.
         """
-        self.robot.command_trajectory(self.time, joint_names, times, positions, velocities)
+        self.robot.command_trajectory(self._now, joint_names, times, positions, velocities)
 
     def hold(self, arm: str | None = None) -> None:
         """Bring one arm, or all, to rest where they are."""
-        self.robot.hold(self.time, arm)
+        self.robot.hold(self._now, arm)
 
     def enable(self, on: bool) -> None:
         """Accept robot commands, or hold the robot where it is."""
-        self.robot.enable(self.time, on)
+        self.robot.enable(self._now, on)
 
     def command_gripper(self, arm: str, opening: float, max_force: float = DEFAULT_FORCE) -> None:
         """Move a gripper to an opening [m] with at most ``max_force`` [N] at the finger tips.
@@ -265,7 +274,9 @@ class Simulation:
 
     def truth(self) -> Truth:
         """Return the true state of the cell."""
-        torso, names, displacements, velocities = None, (), np.empty(0), np.empty(0)
+        torso: FloatArray | None = None
+        names: tuple[str, ...] = ()
+        displacements, velocities = np.empty(0), np.empty(0)
         if self.person is not None:
             site = self.data.site(f"{PERSON_PREFIX}torso")
             torso = make_transform(site.xmat.reshape(3, 3), site.xpos)

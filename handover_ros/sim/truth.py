@@ -1,4 +1,4 @@
-"""What is true in the simulated cell, for evaluation and for the operator: who holds what, where objects lie, events."""
+"""What is true in the simulated cell, for evaluation and the operator: who holds what, where objects lie, events."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Truth:
         displacements: Of these joints [m, rad].
         velocities: Of these joints [m/s, rad/s].
         objects: Object name to world_from_object (4, 4).
-        holders: Object name to ``robot:<arm>``, ``person:<hand>``, several joined by ``+``, or table, goal, floor, none.
+        holders: Object name to ``robot:<arm>``, ``person:<hand>`` (joined by ``+``), table, goal, floor or none.
         counts: How often the robot left its limits.
     """
 
