@@ -92,7 +92,7 @@ class HandoverPlanner:
         settings = self.motion.settings
         search = Search(started + (request.time_budget or settings.time_budget))
         model = self.motion.object_model(request.object_name)
-        scheme = self._scheme(request.scheme)
+        scheme = self.scheme(request.scheme)
         world_from_object = self.motion.object_pose(snapshot, request.object_name)
         arms = self._arms(request, world_from_object, snapshot)
         offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.world_from_torso)
@@ -110,7 +110,12 @@ class HandoverPlanner:
             search.picks += picking.found if picking is not None else 0
         raise self._refusal(request, search, arms)
 
-    def _scheme(self, name: str) -> Scheme:
+    def scheme(self, name: str) -> Scheme:
+        """Return a scheme by name; the default one for an empty name.
+
+        Raises:
+            UnknownNameError: There is no such scheme.
+        """
         chosen = name or self.motion.settings.default_scheme
         if chosen not in self.schemes:
             raise UnknownNameError("scheme", chosen, tuple(self.schemes))

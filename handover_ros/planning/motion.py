@@ -52,6 +52,8 @@ class MotionPlanner:
         self.reaches = {
             name: Reach(robot, name, InverseKinematics(robot, name, self.settings.seed)) for name in robot.arm_names
         }
+        for name, reach in self.reaches.items():  # compiles the kernels before the first request
+            reach.inverse_kinematics.solve(robot.gripper_pose(name, robot.arm(name).home), wanted=1)
         self._boxes = tuple(Solid(box.name, "box", tuple(box.size), box.world_from_box) for box in scene.boxes)
 
     def object_model(self, name: str) -> ObjectModel:

@@ -1,0 +1,258 @@
+"""``planner_node``: plans handovers and single motions of the robot on request."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from handover_msgs.msg import GripperState, HandoverPlan, ObjectStates, SkeletonState
+from handover_msgs.srv import PlanHandover, PlanMotion
+from rclpy.callback_groups import ReentrantCallbackGroup
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from handover_ros.errors import BadRequestError, ErrorCode, StaleDataError
+from handover_ros.geometry import FloatArray, transform_from_pose
+from handover_ros.nodes.convert import numpy_array, transform_from_message
+from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
+from handover_ros.nodes.parameters import ParameterSpec
+from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, Worker, answer, main_of, monotonic
+from handover_ros.objects import load_catalogue, load_scene
+from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, PlannerSettings, load_schemes
+from handover_ros.robot import RobotModel, Trajectory
+
+PUT_BACK = "put_back"  # PlanMotion.posture: bring the held object back to where it was planned to be taken from
+DEFAULTS = PlannerSettings()
+AGE = "[s] of wall time after which it is too old to plan with"
+
+PARAMETERS = (
+    ParameterSpec("robot", "baxter", "robot description in config/robots"),
+    ParameterSpec("scene", "lab", "scene in config/scenes"),
+    ParameterSpec("scheme", DEFAULTS.default_scheme, "scheme in config/schemes for requests that name none"),
+    ParameterSpec("time_budget", DEFAULTS.time_budget, "[s] wall time of one search", 0.1, 600.0),
+    ParameterSpec("person_distance", DEFAULTS.person_distance, "[m] robot to trunk and head", 0.0, 2.0),
+    ParameterSpec("held_person_distance", DEFAULTS.held_person_distance, "[m] held object to trunk and head", 0.0, 2.0),
+    ParameterSpec("hand_clearance", DEFAULTS.hand_clearance, "[m] fingertips to the person's hand", 0.0, 0.5),
+    ParameterSpec("lift_height", DEFAULTS.lift_height, "[m] straight up from the support", 0.02, 0.5),
+    ParameterSpec("retreat_distance", DEFAULTS.retreat_distance, "[m] straight back after the release", 0.02, 0.5),
+    ParameterSpec("present_speed", DEFAULTS.present_speed, "share of the planning speed towards the person", 0.05, 1.0),
+    ParameterSpec("joint_state_age", 1.0, f"robot/joint_states: {AGE}", 0.1, 60.0),
+    ParameterSpec("torso_age", 1.0, f"the person's torso: {AGE}", 0.1, 60.0),
+    ParameterSpec("object_age", 2.0, f"an object's pose: {AGE}", 0.1, 600.0),
+    ParameterSpec("seed", 0, "of the random searches", 0, 2**31 - 1),
+)
+SETTINGS = (
+    "time_budget",
+    "person_distance",
+    "held_person_distance",
+    "hand_clearance",
+    "lift_height",
+    "retreat_distance",
+    "present_speed",
+    "seed",
+)
+
+
+class PlannerNode(HandoverNode):
+    """Services ``planner/plan_handover`` and ``planner/plan_motion``; publishes ``planner/plan`` and ``planner/visual``."""
+
+    def __init__(self) -> None:
+        super().__init__("planner_node", PARAMETERS)
+        self.degraded("loading the robot")
+        robot = RobotModel.load(self.parameters["robot"])
+        chosen = {name: self.parameters[name] for name in SETTINGS}
+        settings = PlannerSettings(default_scheme=self.parameters["scheme"], **chosen)
+        schemes = load_schemes()
+        self.planner = HandoverPlanner(robot, load_scene(self.parameters["scene"]), load_catalogue(), schemes, settings)
+        self.robot = robot
+        # Latest values with the wall time of their arrival.
+        self.joints: dict[str, tuple[float, FloatArray]] = {}
+        self.objects: dict[str, tuple[float, FloatArray]] = {}
+        self.torso: tuple[float, FloatArray] | None = None
+        self.gripping: frozenset[str] = frozenset()
+        self.taken_from: dict[str, FloatArray] = {}  # object -> world_from_object when it was planned to be fetched
+        self.numbers = itertools.count(1)
+        self.plans, self.refusals, self.last_problem = 0, 0, ""
+
+        self.worker = Worker(self)
+        self.plan_publisher = self.create_publisher(HandoverPlan, "planner/plan", LATCHED)
+        self.visual_publisher = self.create_publisher(MarkerArray, "planner/visual", LATCHED)
+        self.create_subscription(JointState, "robot/joint_states", self.on_joints, SENSOR_CONSUMER)
+        self.create_subscription(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
+        self.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
+        self.create_subscription(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
+        # Reentrant: a request waits for the one before it, while callbacks go on.
+        group = ReentrantCallbackGroup()
+        self.create_service(PlanMotion, "planner/plan_motion", self.plan_motion, callback_group=group)
+        self.create_service(PlanHandover, "planner/plan_handover", self.plan_handover, callback_group=group)
+        self.ready(f"plans for {robot.name} with the schemes {', '.join(schemes)}")
+
+    # What is known of the cell
+
+    def on_joints(self, message: JointState) -> None:
+        """Keep the arms' displacements."""
+        values = dict(zip(message.name, message.position, strict=False))
+        for arm in self.robot.arm_names:
+            names = self.robot.arm(arm).joint_names
+            if all(name in values for name in names):
+                self.joints[arm] = monotonic(), np.array([values[name] for name in names])
+
+    def on_grippers(self, message: GripperState) -> None:
+        """Keep which grippers hold something."""
+        self.gripping = frozenset(
+            arm for arm, gripping in zip(message.arms, message.gripping, strict=False) if gripping
+        )
+
+    def on_objects(self, message: ObjectStates) -> None:
+        """Keep the poses of the objects that are seen."""
+        try:
+            poses = numpy_array(message.poses, len(message.names), 7)
+            seen = {
+                name: (monotonic(), transform_from_pose(pose))
+                for name, pose in zip(message.names, poses, strict=True)
+                if not np.isnan(pose).any()
+            }
+        except (BadRequestError, ValueError) as error:
+            self.last_problem = f"objects/states: {error}"
+            return
+        self.objects = {**self.objects, **seen}
+
+    def on_skeleton(self, message: SkeletonState) -> None:
+        """Keep the torso when it is valid."""
+        if not message.valid:
+            return
+        try:
+            self.torso = monotonic(), transform_from_message(message.torso.pose, "torso")
+        except BadRequestError as error:
+            self.last_problem = f"human/skeleton_state: {error}"
+
+    def snapshot(self, needs_person: bool) -> CellSnapshot:
+        """Return the cell as it is now.
+
+        Raises:
+            StaleDataError: Robot or, if needed, person is not known or too old.
+        """
+        now = monotonic()
+        for arm in self.robot.arm_names:
+            limit = self.parameters["joint_state_age"]
+            if arm not in self.joints:
+                raise StaleDataError(f"no robot/joint_states of the {arm} arm yet: is the robot's driver running?")
+            if (age := now - self.joints[arm][0]) > limit:
+                raise StaleDataError(f"robot/joint_states are {age:.1f} s old (limit {limit:g} s): did the robot stop?")
+        torso, limit = self.torso, self.parameters["torso_age"]
+        fresh = torso is not None and now - torso[0] <= limit
+        if needs_person and not fresh:
+            how = "has not been tracked yet" if torso is None else f"was last tracked {now - torso[0]:.1f} s ago"
+            raise StaleDataError(
+                f"the person {how} (limit {limit:g} s): step into view of the cameras", ErrorCode.PERSON_NOT_TRACKED
+            )
+        age_limit = self.parameters["object_age"]
+        return CellSnapshot(
+            arms={arm: positions for arm, (_, positions) in self.joints.items()},
+            objects={name: pose for name, (seen, pose) in self.objects.items() if now - seen <= age_limit},
+            world_from_torso=torso[1] if fresh and torso is not None else None,
+            gripping=self.gripping,
+        )
+
+    # Services
+
+    async def plan_handover(self, request: PlanHandover.Request, response: PlanHandover.Response) -> Any:
+        """Plan a handover."""
+        return await answer(response, self.fill_handover(request, response), self)
+
+    async def plan_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> Any:
+        """Plan a motion of one arm."""
+        return await answer(response, self.fill_motion(request, response), self)
+
+    async def fill_handover(self, request: PlanHandover.Request, response: PlanHandover.Response) -> None:
+        """Plan in the worker thread, publish the plan and fill the response."""
+        wanted = HandoverRequest(
+            object_name=request.object_name,
+            scheme=request.scheme,
+            arm=request.arm,
+            time_budget=request.time_budget,
+            world_from_goal=goal_of(request.goal) if request.has_goal else None,
+        )
+        try:
+            snapshot, plan = await self.worker.submit(self.work_on_handover, wanted)
+        except Exception as error:
+            self.refusals, self.last_problem = self.refusals + 1, str(error)
+            raise
+        self.plans += 1
+        stamp = self.get_clock().now().to_msg()
+        names = self.robot.arm(plan.arm).joint_names
+        plan_id = f"{plan.object_name}-{stamp.sec}.{stamp.nanosec // 1000000:03d}-{next(self.numbers)}"
+        response.plan = plan_message(plan, names, plan_id, stamp)
+        response.success = True
+        response.message = plan.explanation
+        if plan.robot_grasp:
+            self.taken_from[plan.object_name] = snapshot.objects[plan.object_name]
+        self.plan_publisher.publish(response.plan)
+        model = self.planner.motion.object_model(plan.object_name)
+        self.visual_publisher.publish(plan_visual(plan, model, snapshot.world_from_torso, stamp))
+
+    def work_on_handover(self, wanted: HandoverRequest) -> tuple[CellSnapshot, Any]:
+        """Return the snapshot and the plan made from it; runs in the worker thread."""
+        scheme = self.planner.scheme(wanted.scheme)
+        self.planner.motion.object_model(wanted.object_name)
+        snapshot = self.snapshot(scheme.needs_person)
+        return snapshot, self.planner.plan(wanted, snapshot)
+
+    async def fill_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> None:
+        """Plan in the worker thread and fill the response."""
+        try:
+            trajectory = await self.worker.submit(self.work_on_motion, request)
+        except Exception as error:
+            self.refusals, self.last_problem = self.refusals + 1, str(error)
+            raise
+        response.trajectory = trajectory_to_message(self.robot.arm(request.arm).joint_names, trajectory)
+        response.success = True
+        response.message = f"{trajectory.duration:.1f} s of motion"
+
+    def work_on_motion(self, request: PlanMotion.Request) -> Trajectory:
+        """Return the trajectory asked for; runs in the worker thread."""
+        motion, arm = self.planner.motion, self.robot.arm(request.arm)
+        if request.posture and len(request.displacements):
+            raise BadRequestError("give either posture or displacements, not both")
+        if request.held_object:
+            motion.object_model(request.held_object)
+        if request.posture == PUT_BACK:
+            name = request.held_object
+            place = self.taken_from.get(name, motion.scene.placements.get(name))
+            if place is None:
+                raise BadRequestError(f"posture {PUT_BACK!r} needs held_object, and a plan that fetched it before")
+            return motion.put_back(arm.name, name, place, self.snapshot(needs_person=False))
+        goal = arm.posture(request.posture) if request.posture else np.array(request.displacements)
+        return motion.motion(arm.name, goal, self.snapshot(needs_person=False), request.held_object)
+
+    def diagnose(self) -> tuple[bool, str, dict[str, object]]:
+        """Report what is known and how planning went."""
+        now, torso = monotonic(), self.torso
+        values = {
+            "plans": self.plans,
+            "refusals": self.refusals,
+            "last_problem": self.last_problem,
+            "torso_age_s": now - torso[0] if torso else float("nan"),
+            "objects": len(self.objects),
+        }
+        missing = [arm for arm in self.robot.arm_names if arm not in self.joints]
+        return not missing, "no robot/joint_states" if missing else "ready", values
+
+
+def goal_of(stamped: PoseStamped) -> FloatArray:
+    """Return the goal pose (4, 4) of a request.
+
+    Raises:
+        BadRequestError: Not finite, no unit quaternion, or not in the world frame.
+    """
+    if stamped.header.frame_id not in ("", WORLD):
+        raise BadRequestError(f"goal: frame {stamped.header.frame_id!r} is not known; give it in {WORLD!r}")
+    return transform_from_message(stamped.pose, "goal")
+
+
+main = main_of(PlannerNode)
+
+if __name__ == "__main__":
+    main()
