@@ -58,7 +58,6 @@ class PersonActuation:
         self._movement: AnyMovement | None = None
         self._fading: Movement | None = None
         self._torso_target: FloatArray | None = None
-        self._wanted: dict[str, FloatArray] = {}
         self._finger_goal = dict.fromkeys(HANDS, np.array(FINGERS_OPEN))
         self._finger_now = dict.fromkeys(HANDS, np.array(FINGERS_OPEN))
         self._pull: dict[str, FloatArray] = {}
@@ -148,15 +147,13 @@ class PersonActuation:
 
     # Sight, force and fingers.
 
-    def guide(self, hands: dict[str, FloatArray] | None, data: mujoco.MjData | None = None) -> FloatArray:
-        """Correct the arms so that the hands come to poses (4, 4); None: leave the corrections as they are.
+    def guide(self, data: mujoco.MjData, hands: dict[str, FloatArray]) -> FloatArray:
+        """Correct the arms so that the hands come to poses (4, 4).
 
         Returns:
             The largest position [m] and angle [rad] error of the hands, shape (2,).
         """
         largest = np.zeros(2)
-        if hands is None or data is None:
-            return largest
         for hand, pose in hands.items():
             servo = self._servos[hand]
             error = servo.error(data, pose)
