@@ -29,6 +29,8 @@ BLIND_GAP = 0.1  # [s] longest gap bridged by velocity alone
 SHARP_AGE = 0.1  # [s] predictions older than this decide neither between neighbours nor over labels
 REVIEW_AGE = 1.0  # [s] a lasting relabelling is compared with the remembered shape this often
 LONE_CONFIRM = 5.0  # [s] a marker that left its segment must be steady this long
+LONE_MATES = 2  # markers of its segment that stayed where they were
+OLD_HABIT = 5.0  # a swap this many times as long as all that was seen before it was no swap: the start was wrong
 # The gate grows over an unmeasured time T by min(acceleration * T^2, speed * T, reach), by predictor.
 RIGID_SPEED, RIGID_REACH = 0.3, 0.05  # [m/s], [m]
 SHIFT_SPEED, SHIFT_REACH = 1.0, 0.3
@@ -78,14 +80,19 @@ class MarkerRepair:
         self._candidate_since = np.zeros(n)
         self._candidate_stamp = np.zeros(n)
         self._swap: tuple[tuple[int, int], ...] = ()
-        self._swap_since = 0.0
+        self._swap_onset = self._swap_reviewed = 0.0
+        self._begin = np.inf
         self._shape = ShapeMemory(self._mates, self.settings.neighbour_distance)
 
     def process(self, frame: MarkerFrame) -> MarkerFrame:
         """Return the frame repaired; frames must come with increasing stamps."""
         measured = frame.positions
         finite = measured_mask(measured)
+        if np.count_nonzero(finite) < self._n:
+            measured = measured.copy()
+            measured[~finite] = np.nan
         elapsed = frame.stamp - self._stamp
+        self._begin = min(self._begin, frame.stamp)
         self.counters.frames += 1
         predicted = self._position + self._velocity * min(elapsed, BLIND_GAP)
         age = frame.stamp - self._seen
@@ -156,32 +163,34 @@ class MarkerRepair:
         step.measured[found.targets] = samples[found.sources]
         step.believed[found.targets] = True
         step.status[found.targets] = np.where(moved, RELABELLED, MEASURED)
+        alone = (self._mates & step.believed).sum(axis=1) >= LONE_MATES
         for label in found.unexplained:
             if not step.believed[label]:
-                self._judge(step, int(label), samples[label])
+                self._judge(step, int(label), samples[label], bool(alone[label]))
 
     def _swap_holds(self, step: Step, pairs: tuple[tuple[int, int], ...]) -> bool:
         """Return whether a relabelling is to be believed: a new one is, a lasting one must fit the remembered shape."""
         if pairs != self._swap:
             self._swap = pairs
-            self._swap_since = step.stamp
+            self._swap_onset = self._swap_reviewed = step.stamp
             self.counters.swaps += 1
             return True
-        if step.stamp - self._swap_since < REVIEW_AGE:
+        if step.stamp - self._swap_reviewed < REVIEW_AGE:
             return True
-        self._swap_since = step.stamp
+        self._swap_reviewed = step.stamp
         sources = [source for source, _ in pairs]
         targets = [target for _, target in pairs]
         restored = step.measured.copy()
         restored[sources] = np.nan
         restored[targets] = step.measured[sources]
         involved = np.array(sorted({*sources, *targets}))
-        if self._shape.misfit(restored, involved) <= self._shape.misfit(step.measured, involved):
+        fits = self._shape.misfit(restored, involved) <= self._shape.misfit(step.measured, involved)
+        if fits and step.stamp - self._swap_onset < OLD_HABIT * (self._swap_onset - self._begin):
             return True
         self._swap = ()
         return False
 
-    def _judge(self, step: Step, label: int, sample: FloatArray) -> None:
+    def _judge(self, step: Step, label: int, sample: FloatArray, alone: bool) -> None:
         """Drop a sample that belongs nowhere, or believe it once it has been steady at its new place."""
         wait = step.stamp - self._candidate_stamp[label]
         near = self.settings.gate + self.settings.max_speed * wait
@@ -192,7 +201,6 @@ class MarkerRepair:
         self._candidate_count[label] += 1
         self._candidate[label] = sample
         self._candidate_stamp[label] = step.stamp
-        alone = (step.believed & self._mates[label]).sum() >= 2
         long_enough = not alone or step.stamp - self._candidate_since[label] >= LONE_CONFIRM
         if self._candidate_count[label] >= self.settings.confirm_frames and long_enough:
             self._known[label] = False
@@ -249,14 +257,14 @@ class MarkerRepair:
 
     def _count(self, step: Step) -> None:
         counters = self.counters
-        counters.samples += np.count_nonzero(self._known)
-        counters.missing += np.count_nonzero(self._known & ~step.finite)
-        counters.bridged += np.count_nonzero(step.status == BRIDGED)
-        counters.relabelled += np.count_nonzero(step.status == RELABELLED)
+        counters.samples += int(np.count_nonzero(self._known))
+        counters.missing += int(np.count_nonzero(self._known & ~step.finite))
+        counters.bridged += int(np.count_nonzero(step.status == BRIDGED))
+        counters.relabelled += int(np.count_nonzero(step.status == RELABELLED))
         dropped = step.status == DROPPED
         if np.count_nonzero(dropped):
             onset = dropped & ~self._dropping
-            counters.dropped += np.count_nonzero(dropped)
-            counters.jumps += np.count_nonzero(onset & self._measured_last)
-            counters.ghosts += np.count_nonzero(onset & ~self._measured_last)
+            counters.dropped += int(np.count_nonzero(dropped))
+            counters.jumps += int(np.count_nonzero(onset & self._measured_last))
+            counters.ghosts += int(np.count_nonzero(onset & ~self._measured_last))
         self._dropping = dropped

@@ -56,7 +56,8 @@ def _labels(path: Path, line: int, cells: list[str]) -> tuple[str, ...]:
         if bool(cell.strip()) != expected:
             what = "a label is missing" if expected else f"unexpected label {cell.strip()!r}"
             raise BadRecordingError(
-                f"{path}: line {line}, column {column + 1}: {what}; labels stand in every third column from 3 on"
+                f"{path}: line {line}, column {column + 1}: {what}; labels stand in every third column from 3 on: "
+                "is a column missing?"
             )
         if expected:
             labels.append(cell.strip())

@@ -72,7 +72,7 @@ class MocapNode(HandoverNode):
         self.pipeline = MarkerPipeline(self.marker_set.segments, settings)
         self.set_version = 1
         self.frames_read, self.bad_frames, self.last_problem = 0, 0, ""
-        self.last_arrival = monotonic()
+        self.last_published = monotonic()
         self.counted_frames, self.counted_at = 0, monotonic()
         self.message = MarkerFrame(set_version=self.set_version)
         self.message.header.frame_id = parameters["frame_id"]
@@ -187,7 +187,6 @@ class MocapNode(HandoverNode):
 
     def on_source_frame(self, message: MarkerFrame) -> None:
         """Clean and publish one frame; what cannot be used is counted."""
-        self.last_arrival = monotonic()
         if self.columns is None or message.set_version != self.source_version:
             self.reject(f"set_version {message.set_version} is not that of sim/marker_set ({self.source_version})")
             return
@@ -211,9 +210,9 @@ class MocapNode(HandoverNode):
     def take(self, sample: MarkerSample) -> None:
         """Clean and publish one sample."""
         self.frames_read += 1
-        self.last_arrival = monotonic()
         frame = self.pipeline.process(sample)
         if frame is not None:
+            self.last_published = monotonic()
             fill_marker_frame(self.message, frame)
             self.marker_publisher.publish(self.message)
 
@@ -243,7 +242,7 @@ class MocapNode(HandoverNode):
         self.counted_frames, self.counted_at = self.frames_read, now
         counters = self.pipeline.report()
         finished = self.source is not None and self.source.finished
-        silence = now - self.last_arrival
+        silence = now - self.last_published
         values: dict[str, object] = {
             "source": self.parameters["source"],
             "marker_set": self.marker_set.name,
@@ -272,7 +271,7 @@ class MocapNode(HandoverNode):
         if finished:
             return True, "recording played to its end", values
         if silence > SILENT_AFTER:
-            return False, f"no marker frames for {silence:.1f} s", values
+            return False, f"no usable marker frames for {silence:.1f} s", values
         return True, f"{rate:.0f} frames/s, {100.0 * float(counters['missing_fraction']):.1f} % missing", values
 
 
