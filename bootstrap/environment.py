@@ -41,6 +41,8 @@ def cell_environment(layout: Layout, ros: SourcedRos | None) -> dict[str, str]:
     else:
         ament, python_path = environment.get("AMENT_PREFIX_PATH", ""), environment.get("PYTHONPATH", "")
         library_path = ros.library_path
+        # What set-up has installed goes before an older copy in the sourced workspace.
+        packages += [path for path in [layout.site_packages(layout.venv)] if path]
         if ros.bootstrapped:
             environment["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = ros.bootstrapped
     environment["AMENT_PREFIX_PATH"] = joined(prefixes, ament)

@@ -17,7 +17,6 @@ MISSING = re.compile(r"No matching distribution found for (?P<name>\S+)")
 NO_COMPILER = re.compile(r"No CMAKE_(C|CXX)_COMPILER could be found|is not able to compile a simple test program")
 NO_HEADERS = re.compile(r"Python\.h: No such file|Could NOT find Python3[^\n]*Development", re.IGNORECASE)
 MEMORY = re.compile(r"Killed signal terminated program|cannot allocate memory|MemoryError", re.IGNORECASE)
-CONFLICT = re.compile(r"ResolutionImpossible|conflicting dependencies")
 
 
 def explain(what: str, log: Path, status: int) -> str:
@@ -50,5 +49,7 @@ def explain(what: str, log: Path, status: int) -> str:
     if READ_ONLY.search(text):
         return f"{what}: a folder cannot be written; set HANDOVER_HOME to one that can {see}"
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    errors = [line for line in lines if re.search(r"\berror\b", line, re.IGNORECASE)] or lines[-1:] or ["no output"]
-    return f"{what} failed with exit status {status}: {errors[-1][:200]} {see}"
+    places = [number for number, line in enumerate(lines) if re.search(r"\berror\b", line, re.IGNORECASE)]
+    start = places[0] if places else max(0, len(lines) - 1)
+    cause = " ".join(lines[start : start + 2 if lines[start : start + 1] and lines[start].endswith(":") else start + 1])
+    return f"{what} failed with exit status {status}: {cause[:200] or 'it printed nothing'} {see}"

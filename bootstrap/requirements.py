@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from bootstrap.console import SetupError
 
 # Needed to build where ROS is sourced; found already installed where colcon is.
 BUILD_TOOLS = ("colcon-common-extensions>=0.3", "setuptools<80")
+
+# Tried after installing beside a sourced ROS, whose NumPy these did not choose.
+COMPILED = ("numpy", "scipy", "numba", "mujoco", "pinocchio", "coal", "ezc3d", "matplotlib.pyplot")
 
 # Run by the new venv's Python: prints the requirements that what it already sees does not meet.
 UNMET = """
@@ -65,22 +68,32 @@ def ros_part(lock_file: Path) -> str:
     return "\n".join(line for name in names for line in versions[name])
 
 
-def constraints(lock_file: Path, unmet: list[str], present: Mapping[str, str]) -> str:
-    """Return constraints for installing beside a sourced ROS.
+def beside_sourced(lock_file: Path, unmet: Iterable[str], present: Mapping[str, str]) -> list[str]:
+    """Return the lines of the lock to install beside a sourced ROS, without resolving anything anew.
 
-    What is missing gets the version of the lock. What is there stays as it is; NumPy above all, since the messages
-    are compiled for its major version.
+    What is there stays as it is, unless the package asks for a newer one; what is missing comes from the lock. NumPy
+    always stays, since the messages are compiled for its major version: some wheels ask for NumPy 2 and run with the
+    1.26 of Jazzy all the same, which pip would refuse.
+
+    Args:
+        lock_file: The lock.
+        unmet: Requirements that what is there does not meet.
+        present: Versions of what is there, by canonical name.
     """
     wanted = {canonical(re.split(r"[<>=!~\[ ;]", text, maxsplit=1)[0]) for text in unmet}
-    lines = [
+    return [
         line
         for name, versions in locked_versions(lock_file).items()
-        if name not in present or (name in wanted and name != "numpy")
+        if not name.startswith("ros-") and (name not in present or (name in wanted and name != "numpy"))
         for line in versions
     ]
-    if numpy := present.get("numpy"):
-        lines.append(f"numpy=={numpy}")
-    return "\n".join([*lines, ""])
+
+
+def complaints(check_output: str) -> set[str]:
+    """Return the packages that ``pip check`` finds missing or of a wrong version; NumPy is never among them."""
+    missing = re.findall(r"requires ([A-Za-z0-9._-]+), which is not installed", check_output)
+    wrong = re.findall(r"has requirement ([A-Za-z0-9._-]+).*, but you have", check_output)
+    return {canonical(name) for name in missing + wrong} - {"numpy"}
 
 
 def canonical(name: str) -> str:

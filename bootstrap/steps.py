@@ -7,17 +7,26 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bootstrap.cmake_paths import mend_cmake_files
 from bootstrap.console import SetupError, Step
-from bootstrap.environment import build_environment
-from bootstrap.failures import CONFLICT, explain
+from bootstrap.environment import build_environment, cell_environment
+from bootstrap.failures import explain
 from bootstrap.layout import LAYOUT_VERSION, UNFINISHED, Layout, Stamps, digest
 from bootstrap.process import run_logged
-from bootstrap.requirements import BUILD_TOOLS, UNMET, constraints, declared_requirements, ros_part
+from bootstrap.requirements import (
+    BUILD_TOOLS,
+    COMPILED,
+    UNMET,
+    beside_sourced,
+    complaints,
+    declared_requirements,
+    locked_versions,
+    ros_part,
+)
 from bootstrap.ros import SourcedRos
 
 MESSAGES = "handover_msgs"
@@ -143,26 +152,34 @@ class Setup:
             lock = str(self.layout.requirements)
             self._pip(step, ["-r", lock, "-c", lock])
             return
-        command = [str(self.layout.python), "-c", UNMET, json.dumps(self._sourced_requirements())]
         environment = {**build_environment(self.layout, self.ros), "PYTHONPATH": os.environ.get("PYTHONPATH", "")}
-        answer = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+        answer = self._ask(["-c", UNMET, json.dumps(self._sourced_requirements())], environment)
         if answer.returncode != 0:
             raise SetupError(f"the sourced Python cannot list its packages: {answer.stderr.strip().splitlines()[-1:]}")
         found = json.loads(answer.stdout.splitlines()[-1])
-        if not found["unmet"]:
-            step.result = "nothing to install"
-            return
-        constraint_file = self.layout.root / "constraints.txt"
-        constraint_file.write_text(constraints(self.layout.requirements, found["unmet"], found["present"]))
-        try:
-            self._pip(step, [*found["unmet"], "-c", str(constraint_file)])
-        except SetupError:
-            if not CONFLICT.search((self.layout.log / "packages.log").read_text(errors="replace")):
-                raise
-            # The lock's newest does not go with an older NumPy: let pip choose, NumPy fixed.
-            numpy = found["present"].get("numpy")
-            constraint_file.write_text(f"numpy=={numpy}\n" if numpy else "")
-            self._pip(step, [*found["unmet"], "-c", str(constraint_file)])
+        lines = beside_sourced(self.layout.requirements, found["unmet"], found["present"])
+        installed: set[str] = set()
+        # A package of the sourced Python may be too old for one of the lock: take that one from the lock as well.
+        for _ in range(4):
+            if lines:
+                request = self.layout.root / "requirements.txt"
+                request.write_text("\n".join([*lines, ""]))
+                self._pip(step, ["--no-deps", "-r", str(request)])
+                installed.update(lines)
+            locked = locked_versions(self.layout.requirements)
+            names = complaints(self._ask(["-m", "pip", "check"], environment).stdout)
+            lines = [line for name in sorted(names) for line in locked.get(name, []) if line not in installed]
+            if not lines:
+                break
+        step.result = f"{len(installed)} lines of the lock"
+        for module in COMPILED:
+            answer = self._ask(["-c", f"import {module}"], cell_environment(self.layout, self.ros))
+            if answer.returncode != 0:
+                why = (answer.stderr.strip().splitlines() or [f"exit status {answer.returncode}"])[-1]
+                raise SetupError(
+                    f"{module} does not load beside the sourced ROS ({why}); apt-get install python3-{module}, "
+                    "or use ROS from PyPI wheels with HANDOVER_ROS=wheels"
+                )
 
     def build_messages(self, step: Step) -> None:
         """Build the interface package with colcon, from nothing."""
@@ -222,14 +239,16 @@ class Setup:
 
     def _header_folders(self) -> tuple[str, str]:
         program = "import numpy, sysconfig; print(sysconfig.get_path('include')); print(numpy.get_include())"
-        environment = build_environment(self.layout, self.ros)
-        answer = subprocess.run(
-            [str(self.layout.python), "-c", program], capture_output=True, text=True, env=environment, check=False
-        )
+        answer = self._ask(["-c", program], build_environment(self.layout, self.ros))
         if answer.returncode != 0:
             raise SetupError(f"NumPy cannot be imported from {self.layout.venv}; remove that folder and run this again")
         include, numpy_include = answer.stdout.split("\n")[:2]
         return include, numpy_include
+
+    def _ask(self, arguments: list[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
+        """Put a short question to the environment's Python."""
+        command = [str(self.layout.python), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, env=environment, cwd="/", check=False)
 
 
 def _same_files(ours: Path, theirs: Path, pattern: str) -> bool:
