@@ -56,7 +56,7 @@ SETTINGS = (
 
 
 class PlannerNode(HandoverNode):
-    """Services ``planner/plan_handover`` and ``planner/plan_motion``; publishes ``planner/plan`` and ``planner/visual``."""
+    """Serves ``planner/plan_handover`` and ``planner/plan_motion``; publishes ``planner/plan``, ``planner/visual``."""
 
     def __init__(self) -> None:
         super().__init__("planner_node", PARAMETERS)

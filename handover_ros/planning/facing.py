@@ -35,8 +35,8 @@ class Facing:
 def facings(model: ObjectModel) -> tuple[Facing, ...]:
     """Return the ways to turn an upright object to a person, those of the first grasp region first.
 
-    With the object turned by ``yaw`` from the direction of the person's reach, the palm approaches that region along the
-    reach. For two hands the line between two regions lies across the reach instead.
+    With the object turned by ``yaw`` from the direction of the person's reach, the palm approaches that region along
+    the reach. For two hands the line between two regions lies across the reach instead.
     """
     if model.hands == 2:
         return _two_handed(model)
@@ -74,7 +74,7 @@ def turned_object(
 
 
 def _region_facings(region: TaskSpaceRegion) -> list[Facing]:
-    """Return how to turn a region to the person: by its middle if that is taken from the side, else by its nearest such pose.
+    """Return how to turn a region to the person: by its pose nearest to the middle that is taken from the side.
 
     A wide region, such as the body of a glass, can be turned in several ways; they follow, ever farther from the first.
     """

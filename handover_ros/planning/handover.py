@@ -1,4 +1,4 @@
-"""Planning a whole handover: which arm, which grasp, which pose, and the motion from where the robot stands to home again."""
+"""Planning a whole handover: which arm, grasp and pose, and the motion from where the robot stands to home again."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ class HandoverPlanner:
     def plan(self, request: HandoverRequest, snapshot: CellSnapshot) -> HandoverPlan:
         """Return a plan for a handover, from where the robot stands to its home posture.
 
-        The offers of the scheme are tried in order, each with the arms and grasps that can pick the object up; the first
-        offer with a collision-free way wins, its cheapest combination first.
+        The offers of the scheme are tried in order, each with the grasps that can pick the object up; the first offer
+        with a collision-free way wins, its cheapest combination first.
 
         Raises:
             UnknownNameError: No such object, scheme or arm; the message lists those there are.
@@ -98,7 +98,9 @@ class HandoverPlanner:
         offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.world_from_torso)
         for arm in arms:
             lead, ready, picking = self._picking(arm, request.object_name, snapshot, search)
-            for offer in offers if picking is not None else ():
+            for offer in offers:
+                if picking is None:
+                    break
                 search.offers += 1
                 for combination in self._combinations(offer, picking, ready, search):
                     stages = self._stages(combination, lead, ready, search)
@@ -122,7 +124,7 @@ class HandoverPlanner:
         return self.schemes[chosen]
 
     def _arms(self, request: HandoverRequest, world_from_object: FloatArray, snapshot: CellSnapshot) -> list[str]:
-        """Return the arms to try: the one that holds the object or is asked for; else all, that with its home nearest first."""
+        """Return the arms to try: the one that holds the object or is asked for; else all, the nearest first."""
         robot = self.motion.robot
         asked = [robot.arm(request.arm).name] if request.arm else list(robot.arm_names)
         held = {arm: self.motion.held_by(arm, snapshot) for arm in robot.arm_names}
@@ -139,7 +141,7 @@ class HandoverPlanner:
     def _picking(
         self, arm: str, name: str, snapshot: CellSnapshot, search: Search
     ) -> tuple[FloatArray, CellSnapshot, Picking | Holding | None]:
-        """Return an arm's way from where it stands, the cell after that, and how it can pick the object up (None: not at all).
+        """Return an arm's way from where it stands, the cell after that, and how it picks up the object (None: cannot).
 
         A hand that stands at an object without holding it first draws back.
         """
@@ -182,7 +184,7 @@ class HandoverPlanner:
     def _grasps_at(self, offer: Offer, picking: Picking | Holding) -> list[tuple[int, FloatArray, float]]:
         """Return the grasps that leave the person's hand and side free at an offer, those pointing to the person first.
 
-        Each with its place in ``picking``, ``world_from_gripper`` and the cosine between gripper and the person's reach.
+        Each with its place in ``picking``, ``world_from_gripper`` and the cosine between gripper and person's reach.
         """
         usable = []
         for index, object_from_gripper in enumerate(picking.grasps):
@@ -230,7 +232,7 @@ class HandoverPlanner:
     def _fetch(
         self, pick: Pick, lead: FloatArray, snapshot: CellSnapshot, search: Search
     ) -> tuple[PlannedStage, ...] | None:
-        """Return the stages until the object is in the gripper and off its support, or None when the way there is blocked."""
+        """Return the stages until the object is in the gripper and off its support, or None when the way is blocked."""
         motion, arm, settings = self.motion, pick.arm, self.motion.settings
         lift = PlannedStage("lift", motion.timed(arm, pick.lift_line, None, settings.careful_speed))
         if pick.grasp is None:
@@ -273,7 +275,8 @@ class HandoverPlanner:
         if not search.picks:
             width = "" if search.picking.counts else ": no grasp fits the gripper's opening"
             return InfeasibleError(
-                f"cannot pick up {who}: {search.picking.sentence()}{width}{spent}; move it into reach, clear its surroundings",
+                f"cannot pick up {who}: {search.picking.sentence()}{width}{spent}; move it into reach, "
+                "clear its surroundings",
                 search.picking.code if search.picking.counts else ErrorCode.NOT_REACHABLE,
             )
         if search.paths_failed:
@@ -283,8 +286,8 @@ class HandoverPlanner:
                 ErrorCode.NO_PATH,
             )
         return InfeasibleError(
-            f"cannot hold {who} at any of {search.offers} offers: {search.offering.sentence()}{spent}; let the person come "
-            "into reach, or choose another scheme",
+            f"cannot hold {who} at any of {search.offers} offers: {search.offering.sentence()}{spent}; let the person "
+            "come into reach, or choose another scheme",
             search.offering.code,
         )
 

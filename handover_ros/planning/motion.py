@@ -12,11 +12,12 @@ from handover_ros.geometry import FloatArray, invert_transform
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.scene import Scene
 from handover_ros.planning.types import CellSnapshot, PlannerSettings
-from handover_ros.robot.collision import CollisionChecker, HeldObject, Reason, RobotGeometry, Surroundings
+from handover_ros.robot.collision import CollisionChecker, HeldObject, Reason, Surroundings
 from handover_ros.robot.inverse_kinematics import InverseKinematics
 from handover_ros.robot.model import RobotModel
 from handover_ros.robot.path import PathSettings, Validity, plan_path, straight_line
 from handover_ros.robot.reach import Reach, Reasons
+from handover_ros.robot.robot_geometry import RobotGeometry
 from handover_ros.robot.shapes import Solid, object_solids, person_solids
 from handover_ros.robot.trajectory import Trajectory, parameterise
 
@@ -186,7 +187,7 @@ class MotionPlanner:
         return None
 
     def leave(self, arm: str, start: FloatArray, snapshot: CellSnapshot) -> FloatArray:
-        """Return displacements (k, n) from ``start`` to where no object is between the open fingers; k = 1: it is so already."""
+        """Return displacements (k, n) from ``start`` to where no object is between the fingers; k = 1: none is."""
         checker = self.checker(arm, snapshot)
         whole = self.standing(snapshot)
         touched = [label for reason, label in checker.problems(whole) if reason is Reason.OBJECT]
@@ -220,7 +221,7 @@ class MotionPlanner:
     ) -> Trajectory:
         """Return a collision-free trajectory of an arm from where it is to displacements.
 
-        A pair that is too close at the start may be so, but comes no closer; open fingers first draw back from an object.
+        Two things too close at the start may be so, but come no closer; open fingers first draw back from an object.
 
         Args:
             arm: Name of the arm.

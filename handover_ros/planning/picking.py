@@ -1,4 +1,4 @@
-"""Picking an object up: robot grasps that can be reached, with the straight ways to the object and up from its support."""
+"""Picking an object up: robot grasps within reach, with the straight ways to the object and up from its support."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class Holding:
 
 
 def held_pick(planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot) -> Pick | None:
-    """Return how to go on with an object that an arm holds already, or None when it cannot be lifted off its support."""
+    """Return how to go on with an object that an arm holds, or None when it cannot be lifted off its support."""
     posture = planner.start_of(arm, snapshot)
     world_from_gripper = planner.robot.gripper_pose(arm, posture)
     object_from_gripper = invert_transform(planner.object_pose(snapshot, name)) @ world_from_gripper

@@ -67,7 +67,7 @@ class RobotDescription(Schema):
 def share_directory() -> Path:
     """Return the folder that holds ``example-robot-data``: what ``package://`` addresses start from.
 
-    Looked for in ``HANDOVER_ROBOT_DATA`` (an operator's own folder), in the Python installation and in the ament prefixes.
+    Looked for in ``HANDOVER_ROBOT_DATA`` (an operator's own folder), the Python installation and the ament prefixes.
 
     Raises:
         BadModelError: It is in none of them.

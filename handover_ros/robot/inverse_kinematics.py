@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
-from handover_ros.robot import kinematics_kernels as kernels
+from handover_ros.robot import kinematics_kernels
 from handover_ros.robot.model import RobotModel
+
+kernels: Any = kinematics_kernels  # numba's functions carry no types
 
 POSE_TOLERANCE = 1e-6  # norm of position [m] and rotation [rad] error
 ITERATIONS = 60
@@ -23,8 +27,8 @@ LIMIT_WEIGHT = 0.3  # weight of the distance from the middle of the limits again
 class InverseKinematics:
     """Finds joint displacements that put an arm's gripper at a pose.
 
-    Numerical, from many starts: the arm's preferred postures and those of a fixed library of random configurations whose
-    gripper poses are nearest to the target. Deterministic for a seed.
+    Numerical, from many starts: the arm's preferred postures and those of a fixed library of random configurations
+    whose gripper poses are nearest to the target. Deterministic for a seed.
 
     Attributes:
         arm: The arm's model.
@@ -75,7 +79,7 @@ class InverseKinematics:
         )
 
     def within_arm_length(self, world_from_gripper: FloatArray) -> bool:
-        """Return whether the wrist is no farther from the shoulder, and no nearer, than the arm can bring it (with slack)."""
+        """Return whether the wrist is no farther from the shoulder, and no nearer, than the arm can bring it."""
         distance = float(self._wrist_distances(np.asarray(world_from_gripper)))
         return bool(self._wrist_range[0] <= distance <= self._wrist_range[1])
 
@@ -94,7 +98,7 @@ class InverseKinematics:
         return np.asarray(solution) if error < POSE_TOLERANCE else None
 
     def posture_cost(self, displacements: FloatArray, preferred: FloatArray) -> FloatArray:
-        """Return the cost (m,) of postures (m, n): mean square distance to ``preferred`` and to the middle of the limits.
+        """Return the cost (m,) of postures (m, n): distance to ``preferred`` and to the middle of the limits.
 
         Distances are fractions of half a joint's range.
         """

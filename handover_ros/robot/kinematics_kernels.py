@@ -19,6 +19,9 @@ SMALL_ANGLE = 1e-9
 LIMIT_SLACK = 1e-9
 MAXIMUM_STEP = 0.5  # [rad] a joint moves in one iteration at most
 STALL_PROGRESS = 0.999
+STALLED_ITERATIONS = 4
+DAMPING_SHARE = 0.05
+LEAST_DAMPING = 1e-9
 
 
 @numba.njit(cache=True, nogil=True)
@@ -130,8 +133,8 @@ def descend(
     """Return displacements (n,) near ``start`` that reach ``target``, and the remaining error (norm of m and rad).
 
     Levenberg-Marquardt with the damping of T. Sugihara, "Solvability-unconcerned inverse kinematics by the
-    Levenberg-Marquardt method", IEEE T-RO 27(5), 2011: lambda = |e|^2 / 2 + small. Joints that would leave their limits are held
-    there and the step is solved again for the others.
+    Levenberg-Marquardt method", IEEE T-RO 27(5), 2011: proportional to |e|^2, plus a small constant. Joints that would
+    leave their limits are held there and the step is solved again for the others.
     """
     count = axes.shape[0]
     displacements = np.minimum(np.maximum(start, lower), upper)
@@ -144,7 +147,7 @@ def descend(
     for _ in range(iterations):
         if size < tolerance:
             break
-        damping = 0.5 * size * size * 1e-1 + 1e-9
+        damping = DAMPING_SHARE * size * size + LEAST_DAMPING
         free[:] = 1.0
         step = np.zeros(count)
         for _attempt in range(3):
@@ -172,7 +175,7 @@ def descend(
         updated = np.sqrt(np.sum(error * error))
         slow = slow + 1 if updated > STALL_PROGRESS * size else 0
         size = updated
-        if slow >= 4:
+        if slow >= STALLED_ITERATIONS:
             break
     return displacements, size
 

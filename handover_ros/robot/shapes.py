@@ -70,8 +70,8 @@ def object_solids(model: ObjectModel, parent_from_object: FloatArray) -> tuple[S
 def person_solids(world_from_torso: FloatArray) -> tuple[Solid, ...]:
     """Return trunk and head of a person as capsule and sphere, from the torso frame between the shoulders.
 
-    The trunk's capsule is upright under the shoulders down to the floor, so that it covers hips and legs too; the arms are not in
-    it, since they come to the object.
+    The trunk's capsule is upright under the shoulders down to the floor, so that it covers hips and legs too; the arms
+    are not in it, since they come to the object.
     """
     shoulders = world_from_torso[:3, 3]
     top = max(float(shoulders[2]) - TRUNK_RADIUS / 2.0, TRUNK_BOTTOM + 0.05)
