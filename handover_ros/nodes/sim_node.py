@@ -19,6 +19,7 @@ from handover_msgs.msg import (
     SkeletonState,
 )
 from handover_msgs.srv import ResetSimulation, SetPersonBehaviour, SetSimulationFault
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Bool
@@ -54,10 +55,12 @@ from handover_ros.nodes.runtime import (
     main_of,
 )
 from handover_ros.objects.scene import load_scene
+from handover_ros.sim.artist import Artist
+from handover_ros.sim.options import SimulationOptions
 from handover_ros.sim.person_spec import MARKER_SET, MARKERS
-from handover_ros.sim.render import Picture, Renderer, save_picture
+from handover_ros.sim.render import Picture, save_picture
 from handover_ros.sim.runner import SimulationRunner
-from handover_ros.sim.simulation import Simulation, SimulationOptions
+from handover_ros.sim.simulation import Simulation
 
 FRAME = "world"
 STATE_RATE = 100.0  # [Hz] of simulated time: clock, joints, grippers
@@ -112,8 +115,8 @@ class SimNode(HandoverNode):
             known = ", ".join(camera.name for camera in simulation.scene.cameras)
             raise BadRequestError(f"sim_node: parameter camera: no camera {parameters['camera']!r}; known: {known}")
         self.image_rate, self.camera = parameters["image_rate"], parameters["camera"]
-        self.renderers: dict[tuple[int, int], Renderer] = {}
-        self.shown: Picture | None = None
+        self.artist = Artist(simulation.world)
+        self.drawing: Future[Picture] | None = None
         self.pictures = 0
         self.refused = 0
         self.last_enable = -SILENCE
@@ -140,15 +143,17 @@ class SimNode(HandoverNode):
             self.create_subscription(SkeletonState, "human/skeleton_state", self.on_torso, SENSOR_CONSUMER)
 
         self.worker = Worker(self)
-        self.create_service(SetSimulationFault, "sim/set_fault", self.on_set_fault)
-        self.create_service(SetPersonBehaviour, "sim/set_person", self.on_set_person)
-        self.create_service(Trigger, "sim/render", self.on_render)
+        # A group of their own: while they wait, the answers they wait for must get through.
+        waiting = ReentrantCallbackGroup()
+        self.create_service(SetSimulationFault, "sim/set_fault", self.on_set_fault, callback_group=waiting)
+        self.create_service(SetPersonBehaviour, "sim/set_person", self.on_set_person, callback_group=waiting)
+        self.create_service(Trigger, "sim/render", self.on_render, callback_group=waiting)
         self.parameters.on_change(self.apply_parameters)
         self.publish_marker_set(simulation)
         self.crash_guard = self.create_guard_condition(self.raise_crash)
         self.runner.start()
         # Last: its presence says that the cell runs.
-        self.create_service(ResetSimulation, "sim/reset", self.on_reset)
+        self.create_service(ResetSimulation, "sim/reset", self.on_reset, callback_group=waiting)
         self.ready(f"simulating scene {parameters['scene']}")
 
     # In the simulation's thread
@@ -185,38 +190,37 @@ class SimNode(HandoverNode):
         self.due[what] = max(self.due[what] + 1.0 / rate, now - 1.0 / rate)
         return True
 
-    def draw(self, simulation: Simulation, size: tuple[int, int]) -> Picture:
-        """Return a picture of the cell; the renderer is made on first use."""
-        if size not in self.renderers:
-            self.renderers[size] = Renderer(simulation.world, *size)
-            if self.shown is not None:
-                self.renderers[size].show_on_display(self.shown)
-        return self.renderers[size].render(simulation.data, self.camera)
-
     def publish_image(self, simulation: Simulation) -> None:
-        """Publish ``sim/image``; without OpenGL say so once and go on without."""
-        try:
-            message = image_message(self.draw(simulation, tuple(self.parameters["image_size"])), self.camera)
-        except HandoverError as error:
+        """Have ``sim/image`` drawn and published; when the last one is not ready yet, leave this one out."""
+        if self.drawing is not None and not self.drawing.done():
+            return
+        captured_at = simulation.time
+        self.drawing = self.artist.draw(simulation.snapshot(), self.camera, tuple(self.parameters["image_size"]))
+        self.drawing.add_done_callback(lambda drawn: self.publish_drawn(drawn, captured_at))
+
+    def publish_drawn(self, drawn: Future[Picture], captured_at: float) -> None:
+        """Publish a finished image; without OpenGL say so once and go on without."""
+        if drawn.cancelled() or not self.context.ok():
+            return
+        error = drawn.exception()
+        if error is not None:
             self.image_rate = 0.0
             self.degraded(f"sim/image is off: {error}")
             return
-        message.header.stamp = stamp_from_seconds(simulation.time)
+        message = image_message(drawn.result(), self.camera)
+        message.header.stamp = stamp_from_seconds(captured_at)
         self.image_publisher.publish(message)
 
-    def take_picture(self, simulation: Simulation) -> Path:
+    # In a thread of the worker
+
+    def take_picture(self) -> Path:
         """Write a picture of the cell and return its file."""
+        snapshot = self.runner.call(Simulation.snapshot, ANSWER_LIMIT)
         self.pictures += 1
         folder = Path(self.parameters["picture_directory"]).resolve()
         path = folder / f"{self.camera}_{self.pictures:03d}.png"
-        save_picture(self.draw(simulation, tuple(self.parameters["picture_size"])), path)
+        save_picture(self.artist.draw(snapshot, self.camera, tuple(self.parameters["picture_size"])).result(), path)
         return path
-
-    def close_renderers(self) -> None:
-        """Free the graphics memory."""
-        for renderer in self.renderers.values():
-            renderer.close()
-        self.renderers.clear()
 
     # In the executor's thread
 
@@ -272,13 +276,7 @@ class SimNode(HandoverNode):
         except HandoverError as error:
             self.refuse(f"robot/display: {error}")
             return
-
-        def show(simulation: Simulation) -> None:
-            self.shown = picture.copy()
-            for renderer in self.renderers.values():
-                renderer.show_on_display(self.shown)
-
-        self.command(show)
+        self.artist.show_on_display(picture.copy())
 
     def on_torso(self, message: SkeletonState) -> None:
         """Let the simulated person's torso follow the tracked one."""
@@ -335,7 +333,7 @@ class SimNode(HandoverNode):
     async def on_render(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Draw a picture into the folder of pictures."""
         try:
-            response.message = str(await self.simulated(self.take_picture))
+            response.message = str(await self.worker.submit(self.take_picture))
             response.success = True
         except HandoverError as error:
             response.success, response.message = False, str(error)
@@ -366,10 +364,9 @@ class SimNode(HandoverNode):
         return not slow, line, values
 
     def on_stop(self) -> None:
-        """Stop the simulation."""
-        if self.renderers and self.runner.error is None:
-            self.runner.call(lambda _: self.close_renderers(), ANSWER_LIMIT)
+        """Stop the simulation and free the graphics memory."""
         self.runner.stop()
+        self.artist.close()
 
 
 main = main_of(SimNode)

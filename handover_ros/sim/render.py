@@ -14,7 +14,8 @@ from PIL import Image
 
 from handover_ros.errors import BadModelError, UnknownNameError
 from handover_ros.sim.robot_body import DISPLAY_TEXTURE
-from handover_ros.sim.world import PICTURE_SIZE, World
+from handover_ros.sim.scenery import PICTURE_SIZE
+from handover_ros.sim.world import World
 
 Picture = npt.NDArray[np.uint8]
 

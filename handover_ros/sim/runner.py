@@ -17,7 +17,6 @@ Result = TypeVar("Result")
 SLICE = 0.004  # [s] simulated between two looks at the clock and the requests
 LARGEST_LAG = 0.25  # [s] of wall time behind the pace that is caught up; more is forgiven
 FACTOR_PERIOD = 1.0  # [s] of wall time over which the realtime factor is measured
-BREATH = 0.0002  # [s] of wall time left to other threads in each slice when running as fast as possible
 JOIN_TIMEOUT = 5.0  # [s]
 
 
@@ -97,8 +96,7 @@ class SimulationRunner:
                 self.realtime_factor = (simulation.time - measured_time) / (now - measured_at)
                 measured_at, measured_time = now, simulation.time
             if self.pace <= 0.0:
-                due = now
-                time.sleep(BREATH)
+                due = now  # no pause: MuJoCo leaves the interpreter to other threads in every step
                 continue
             due = max(due + (simulation.time - before) / self.pace, now - LARGEST_LAG)
             if due > now:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_ros.errors import BadModelError, BadRequestError
+from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray, make_transform
 from handover_ros.objects.catalogue import load_catalogue
 from handover_ros.objects.scene import Scene
@@ -18,43 +18,19 @@ from handover_ros.sim.cameras import CapturedFrame, MotionCapture, ring_of_camer
 from handover_ros.sim.grasping import GraspChange, Grasping
 from handover_ros.sim.grippers import Grippers, GripperState
 from handover_ros.sim.offer import OfferWatch
+from handover_ros.sim.options import PERSON_RATE, SimulationOptions
 from handover_ros.sim.person import Person, PersonView
 from handover_ros.sim.person_model import PREFIX as PERSON_PREFIX
 from handover_ros.sim.person_model import PersonSpec, load_person
 from handover_ros.sim.person_spec import JOINTS, MARKERS
 from handover_ros.sim.robot import JointState, RobotController
-from handover_ros.sim.truth import ObjectWatch, SimulationEvent, Truth, object_pose
+from handover_ros.sim.truth import ObjectWatch, SimulationEvent, Truth, grasp_event, object_poses
 from handover_ros.sim.world import World, build_world
 
-PERSON_RATE = 100.0  # [Hz] of the person's decisions
 WATCH_RATE = 50.0  # [Hz] of looking where objects lie
 POSITION_NOISE = 0.0005  # [m] of perceived object poses, standard deviation along each axis
 ANGLE_NOISE = 0.003  # [rad] about each axis
-SLOWEST_PHYSICS, FASTEST_PHYSICS = 300.0, 2000.0  # [Hz]
 DEFAULT_FORCE = 20.0  # [N]
-
-
-@dataclass(frozen=True)
-class SimulationOptions:
-    """How the cell is simulated.
-
-    Attributes:
-        robot: Name of the robot; empty: the scene's.
-        person: Name of the person; empty: the scene's, ``none``: nobody.
-        physics_rate: Physics steps a second [Hz], a multiple of 100.
-        mocap_rate: Marker frames a second [Hz], 50 to 480.
-        marker_noise: Standard deviation of a marker's position along each axis [m].
-        occlusion_fraction: Share of samples lost at random, besides those that no two cameras see.
-        start_time: What the simulation's clock shows at the start [s].
-    """
-
-    robot: str = ""
-    person: str = ""
-    physics_rate: float = 500.0
-    mocap_rate: float = 240.0
-    marker_noise: float = 0.0005
-    occlusion_fraction: float = 0.0
-    start_time: float = 0.0
 
 
 class Simulation:
@@ -76,11 +52,6 @@ class Simulation:
         self.scene = scene
         self.options = options or SimulationOptions()
         rate = self.options.physics_rate
-        if not SLOWEST_PHYSICS <= rate <= FASTEST_PHYSICS or rate % PERSON_RATE != 0.0:
-            raise BadModelError(
-                f"physics_rate {rate} Hz: must be a multiple of {PERSON_RATE:g} "
-                f"from {SLOWEST_PHYSICS:g} to {FASTEST_PHYSICS:g}"
-            )
         self.timestep = 1.0 / rate
         catalogue = load_catalogue()
         robot = RobotModel.load(self.options.robot or scene.robot)
@@ -254,12 +225,14 @@ class Simulation:
 
     def object_poses(self) -> dict[str, FloatArray]:
         """Return the perceived world_from_object (4, 4) of all objects, with a little noise."""
-        poses = {}
-        for name in self.world.objects:
-            pose = object_pose(self.world, self.data, name)
-            noise = self._perception.standard_normal(6)
-            turn = Rotation.from_rotvec(ANGLE_NOISE * noise[3:]).as_matrix()
-            poses[name] = make_transform(turn @ pose[:3, :3], pose[:3, 3] + POSITION_NOISE * noise[:3])
+        poses = object_poses(self.world, self.data)
+        if not poses:
+            return poses
+        noise = self._perception.standard_normal((len(poses), 6))
+        turns = Rotation.from_rotvec(ANGLE_NOISE * noise[:, 3:]).as_matrix()
+        for pose, turn, shift in zip(poses.values(), turns, noise[:, :3], strict=True):
+            pose[:3, :3] = turn @ pose[:3, :3]
+            pose[:3, 3] += POSITION_NOISE * shift
         return poses
 
     def events(self) -> list[SimulationEvent]:
@@ -288,10 +261,14 @@ class Simulation:
             joint_names=names,
             displacements=displacements,
             velocities=velocities,
-            objects={name: object_pose(self.world, self.data, name) for name in self.world.objects},
+            objects=object_poses(self.world, self.data),
             holders={name: self._watch.holder(name, self.grasping) for name in self.world.objects},
             counts=self.robot.counts,
         )
+
+    def snapshot(self) -> mujoco.MjData:
+        """Return a copy of the present state, e.g. to draw it in another thread."""
+        return copy.copy(self.data)
 
     # Inside
 
@@ -340,8 +317,8 @@ class Simulation:
         """Let the person see, decide and move; close and open its hands."""
         if self.person is None:
             return
-        poses = {name: object_pose(self.world, self.data, name) for name in self.world.objects}
-        speeds = {name: self._watch.speed(self.data, name) for name in self.world.objects}
+        poses = object_poses(self.world, self.data)
+        speeds = self._watch.speeds(self.data)
         held = self.grasping.held_by_robot
         view = PersonView(
             objects=poses,
@@ -357,20 +334,12 @@ class Simulation:
     def _note(self, changes: list[GraspChange]) -> None:
         """Turn changes of hold into events."""
         for change in changes:
-            robot = change.holder.startswith("robot")
-            name, side = change.object_name, change.holder.partition(":")[2]
-            who = f"the robot's {side} gripper" if robot else f"the person's {side} hand"
-            if change.held:
-                kind, verb = ("grasped", "grasped") if robot else ("taken", "took hold of")
-                message = f"{who} {verb} the {name} at {change.region}"
-            else:
-                kind, message = "released", f"{who} let go of the {name}"
-                if not self.grasping.holders(name):
-                    self._watch.let_go(name, change.holder)
-            self._event(kind, message, name, change.holder)
+            self._events.append(grasp_event(change, self.time))
+            if not change.held and not self.grasping.holders(change.object_name):
+                self._watch.let_go(change.object_name, change.holder)
 
-    def _event(self, kind: str, message: str, object_name: str = "", holder: str = "") -> None:
-        self._events.append(SimulationEvent(self.time, kind, message, object_name, holder))
+    def _event(self, kind: str, message: str) -> None:
+        self._events.append(SimulationEvent(self.time, kind, message))
 
     def _someone(self) -> Person:
         if self.person is None:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from handover_ros.geometry import FloatArray, make_transform
-from handover_ros.sim.grasping import Grasping
+from handover_ros.geometry import FloatArray
+from handover_ros.sim.grasping import GraspChange, Grasping
 from handover_ros.sim.robot import LimitCounts
-from handover_ros.sim.world import OBJECT_PREFIX, SCENE_PREFIX, World
+from handover_ros.sim.scenery import SCENE_PREFIX
+from handover_ros.sim.world import OBJECT_PREFIX, World
 
 NOTHING, TABLE, GOAL, FLOOR = 0, 1, 2, 3
 SUPPORT_NAMES = {NOTHING: "none", TABLE: "table", GOAL: "goal", FLOOR: "floor"}
@@ -73,6 +74,7 @@ class ObjectWatch:
         self._world = world
         model = world.model
         self._names = tuple(world.objects)
+        self._speeds_at = np.array([[start + axis for axis in range(3)] for _, start in world.object_joints.values()])
         self._object_of_geom = np.full(model.ngeom, -1)
         self._surface_of_geom = np.full(model.ngeom, NOTHING)
         for geom in range(model.ngeom):
@@ -100,6 +102,7 @@ class ObjectWatch:
     def update(self, data: mujoco.MjData, grasping: Grasping, time: float) -> list[SimulationEvent]:
         """Look at all contacts and return what was placed or dropped since the last time."""
         self._supports = self._find_supports(data)
+        speeds = self.speeds(data)
         events = []
         for index, name in enumerate(self._names):
             if grasping.holders(name):
@@ -114,16 +117,18 @@ class ObjectWatch:
                     events.append(
                         SimulationEvent(time, "dropped", f"the {name} fell to the floor{after}", name, holder)
                     )
-            elif name in self._loose and self._supports[index] != NOTHING and self.speed(data, name) < AT_REST:
+            elif name in self._loose and self._supports[index] != NOTHING and speeds[name] < AT_REST:
                 holder = self._loose.pop(name)
                 where = "at its goal" if self._supports[index] == GOAL else "on a table"
                 events.append(SimulationEvent(time, "placed", f"the {name} was put down {where}", name, holder))
         return events
 
-    def speed(self, data: mujoco.MjData, name: str) -> float:
-        """Return the speed of an object's origin [m/s]."""
-        start = self._world.object_joints[name][1]
-        return float(np.linalg.norm(data.qvel[start : start + 3]))
+    def speeds(self, data: mujoco.MjData) -> dict[str, float]:
+        """Return the speed of each object's origin [m/s]."""
+        if not self._names:
+            return {}
+        speeds = np.sqrt(np.square(data.qvel[self._speeds_at]).sum(axis=1))
+        return dict(zip(self._names, speeds.tolist(), strict=True))
 
     def holder(self, name: str, grasping: Grasping) -> str:
         """Return who or what holds an object, as ``Truth.holders`` says it."""
@@ -140,7 +145,22 @@ class ObjectWatch:
         return supports
 
 
-def object_pose(world: World, data: mujoco.MjData, name: str) -> FloatArray:
-    """Return the true world_from_object (4, 4)."""
-    body = world.object_bodies[name]
-    return make_transform(data.xmat[body].reshape(3, 3), data.xpos[body])
+def object_poses(world: World, data: mujoco.MjData) -> dict[str, FloatArray]:
+    """Return the true world_from_object (4, 4) of all objects."""
+    bodies = list(world.object_bodies.values())
+    poses = np.zeros((len(bodies), 4, 4))
+    poses[:, :3, :3] = data.xmat[bodies].reshape(-1, 3, 3)
+    poses[:, :3, 3] = data.xpos[bodies]
+    poses[:, 3, 3] = 1.0
+    return dict(zip(world.object_bodies, poses, strict=True))
+
+
+def grasp_event(change: GraspChange, time: float) -> SimulationEvent:
+    """Return the event that tells of a change of hold at a time [s]."""
+    kind_of_holder, _, side = change.holder.partition(":")
+    robot, name = kind_of_holder == "robot", change.object_name
+    who = f"the robot's {side} gripper" if robot else f"the person's {side} hand"
+    if not change.held:
+        return SimulationEvent(time, "released", f"{who} let go of the {name}", name, change.holder)
+    kind, verb = ("grasped", "grasped") if robot else ("taken", "took hold of")
+    return SimulationEvent(time, kind, f"{who} {verb} the {name} at {change.region}", name, change.holder)

@@ -8,22 +8,19 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from handover_ros.errors import BadModelError
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel, Primitive
-from handover_ros.objects.scene import Camera, Scene, SceneBox
+from handover_ros.objects.scene import Scene
 from handover_ros.robot.model import RobotModel
 from handover_ros.sim.person_model import PersonSpec, add_person
 from handover_ros.sim.robot_body import FIXED_BIT, OBJECT_BIT, ROBOT_BIT, add_robot
+from handover_ros.sim.scenery import SCENE_GROUP, add_surroundings, mujoco_quaternion
 
 OBJECT_PREFIX = "object/"
-SCENE_PREFIX = "scene/"
 HANDS = ("left", "right")
-SCENE_GROUP = 0
 LONGEST_TIMESTEP = 0.005  # [s] the servos' fastest pole asks for less than this
-PICTURE_SIZE = (1280, 960)  # largest picture [pixels]
 # Welds of hands and fingers: stiff (time constant 8 ms), critically damped.
 WELD_SOLREF = (0.008, 1.0)
 WELD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
@@ -108,7 +105,7 @@ def build_world(
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    _add_surroundings(spec, scene)
+    add_surroundings(spec, scene)
     add_robot(spec, robot)
     placed = {name: objects[name] for name in scene.placements}
     for name, item in placed.items():
@@ -123,102 +120,10 @@ def build_world(
     return _index(model, scene, robot, placed, person)
 
 
-def _add_surroundings(spec: mujoco.MjSpec, scene: Scene) -> None:
-    """Add floor, boxes, lights, sky and cameras."""
-    visual = spec.visual
-    visual.headlight.ambient = [0.36, 0.36, 0.38]
-    visual.headlight.diffuse = [0.22, 0.22, 0.22]
-    visual.headlight.specular = [0.0, 0.0, 0.0]
-    visual.quality.shadowsize = 4096
-    visual.quality.offsamples = 4
-    getattr(visual, "global").offwidth, getattr(visual, "global").offheight = PICTURE_SIZE
-    visual.map.znear, visual.map.zfar = 0.05, 8.0
-    spec.stat.center, spec.stat.extent = [0.8, 0.0, 0.9], 3.0
-    visual.map.shadowclip = 1.4
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.86, 0.89, 0.93],
-        rgb2=[0.62, 0.67, 0.74],
-        width=256,
-        height=1536,
-    )
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.74, 0.75, 0.76],
-        rgb2=[0.70, 0.71, 0.73],
-        markrgb=[0.62, 0.63, 0.65],
-        width=512,
-        height=512,
-    )
-    floor = spec.add_material(
-        name="floor", texrepeat=[1.0, 1.0], texuniform=True, reflectance=0.06, specular=0.1, shininess=0.2
-    )
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    ground = spec.worldbody.add_geom(
-        name=f"{SCENE_PREFIX}floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[6.0, 6.0, 0.1],
-        material="floor",
-        group=SCENE_GROUP,
-        contype=FIXED_BIT,
-        conaffinity=ROBOT_BIT | OBJECT_BIT,
-    )
-    if hasattr(ground, "castshadow"):  # newer MuJoCo only; without it the floor is speckled with its own shadow
-        ground.castshadow = False
-    for box in scene.boxes:
-        _add_box(spec, box)
-    spec.worldbody.add_light(
-        name="key",
-        type=mujoco.mjtLightType.mjLIGHT_SPOT,
-        pos=[3.0, -2.8, 5.0],
-        dir=[-0.40, 0.47, -0.80],
-        cutoff=80.0,
-        exponent=0.5,
-        castshadow=True,
-        diffuse=[0.66, 0.64, 0.60],
-        specular=[0.35, 0.35, 0.35],
-    )
-    spec.worldbody.add_light(
-        name="fill",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[1.0, 3.0, 3.5],
-        dir=[-0.1, -0.7, -0.7],
-        castshadow=False,
-        diffuse=[0.20, 0.22, 0.26],
-        specular=[0.0, 0.0, 0.0],
-    )
-    for camera in scene.cameras:
-        element = spec.worldbody.add_camera(
-            name=camera.name, pos=camera.position, fovy=float(np.degrees(camera.field_of_view))
-        )
-        element.quat = _looking_at(camera)
-
-
-def _add_box(spec: mujoco.MjSpec, box: SceneBox) -> None:
-    """Add a fixed box of the scene."""
-    material = f"{SCENE_PREFIX}{box.name}"
-    spec.add_material(name=material, rgba=list(box.colour), specular=0.15, shininess=0.3)
-    geom = spec.worldbody.add_geom(
-        name=f"{SCENE_PREFIX}{box.name}",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[length / 2.0 for length in box.size],
-        material=material,
-        group=SCENE_GROUP,
-        contype=FIXED_BIT,
-        conaffinity=ROBOT_BIT | OBJECT_BIT,
-    )
-    geom.pos, geom.quat = box.world_from_box[:3, 3], _quaternion(box.world_from_box)
-
-
 def _add_object(spec: mujoco.MjSpec, item: ObjectModel, world_from_object: FloatArray) -> None:
     """Add an object that moves freely; its mass is spread over its solids by volume."""
     body = spec.worldbody.add_body(name=f"{OBJECT_PREFIX}{item.name}")
-    body.pos, body.quat = world_from_object[:3, 3], _quaternion(world_from_object)
+    body.pos, body.quat = world_from_object[:3, 3], mujoco_quaternion(world_from_object)
     joint = body.add_freejoint()
     joint.name = f"{OBJECT_PREFIX}{item.name}/free"
     volumes = np.array([primitive_volume(primitive) for primitive in item.primitives])
@@ -239,7 +144,7 @@ def _add_object(spec: mujoco.MjSpec, item: ObjectModel, world_from_object: Float
             condim=4,
         )
         geom.type, geom.size = _mujoco_solid(primitive)
-        geom.pos, geom.quat = primitive.object_from_primitive[:3, 3], _quaternion(primitive.object_from_primitive)
+        geom.pos, geom.quat = primitive.object_from_primitive[:3, 3], mujoco_quaternion(primitive.object_from_primitive)
 
 
 def _add_welds(spec: mujoco.MjSpec, robot: RobotModel, objects: tuple[str, ...], with_person: bool) -> None:
@@ -331,21 +236,3 @@ def _tip_joint(robot: RobotModel, arm: str) -> int:
     """Return the number of the joint whose body carries an arm's gripper frame."""
     model = robot.pinocchio_model
     return int(model.frames[model.getFrameId(robot.arm(arm).tip_frame)].parentJoint)
-
-
-def _quaternion(transform: FloatArray) -> list[float]:
-    """Return a rotation as MuJoCo's quaternion w, x, y, z."""
-    x, y, z, w = Rotation.from_matrix(transform[:3, :3]).as_quat()
-    return [float(w), float(x), float(y), float(z)]
-
-
-def _looking_at(camera: Camera) -> list[float]:
-    """Return MuJoCo's quaternion of a camera (it looks along -z, x to the right)."""
-    backward = np.array(camera.position) - np.array(camera.target)
-    backward /= np.linalg.norm(backward)
-    up = np.array([0.0, 0.0, 1.0]) if abs(backward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
-    right = np.cross(up, backward)
-    right /= np.linalg.norm(right)
-    rotation = np.eye(4)
-    rotation[:3, :3] = np.column_stack([right, np.cross(backward, right), backward])
-    return _quaternion(rotation)
