@@ -45,7 +45,7 @@ setup(
         "matplotlib>=3.8",
         "rich>=13.0",
         "typer>=0.12",
-        "ruckig>=0.9",
+        "toppra>=0.6",
         "rosbags>=0.10",
         "pillow>=10.0",
     ],
