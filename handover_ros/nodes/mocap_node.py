@@ -187,7 +187,9 @@ class MocapNode(HandoverNode):
 
     def on_source_frame(self, message: MarkerFrame) -> None:
         """Clean and publish one frame; what cannot be used is counted."""
-        if self.columns is None or message.set_version != self.source_version:
+        if self.columns is None:
+            return  # the names have not come yet, or do not fit; the heartbeat says so
+        if message.set_version != self.source_version:
             self.reject(f"set_version {message.set_version} is not that of sim/marker_set ({self.source_version})")
             return
         try:

@@ -281,7 +281,11 @@ def main_of(factory: Callable[[], HandoverNode]) -> Callable[[], None]:
     """Return the console entry point of a node."""
 
     def main() -> None:
-        sys.exit(run_node(factory))
+        status = run_node(factory)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Python's exit puts the default handlers back: a second Ctrl-C would kill a node that ended well.
+            signal.signal(number, signal.SIG_IGN)
+        sys.exit(status)
 
     return main
 

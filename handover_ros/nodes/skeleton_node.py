@@ -69,7 +69,9 @@ class SkeletonNode(HandoverNode):
     def on_markers(self, message: MarkerFrame) -> None:
         """Fit the torso to one frame and publish it; frames that cannot be used are counted."""
         self.last_arrival = monotonic()
-        if self.tracker is None or message.set_version != self.set_version:
+        if self.tracker is None:
+            return  # the names have not come yet, or hold no torso; the heartbeat says so
+        if message.set_version != self.set_version:
             self.reject(f"set_version {message.set_version} is not that of mocap/marker_set ({self.set_version})")
             return
         try:
