@@ -19,8 +19,8 @@ from handover_ros.geometry import FloatArray
 
 #: [m] a hand this near to the object holds it, as far as markers on the hand can tell.
 HAND_NEAR = 0.30
-#: [s] a command may take to reach the robot and its state to come back, in (possibly accelerated) ROS time.
-COMMAND_DELAY = 0.3
+#: [s] a command may take to reach the robot, in (possibly accelerated) ROS time.
+COMMAND_DELAY = 0.5
 #: [m] the gripper counts as open this far from the commanded opening.
 OPENING_TOLERANCE = 0.004
 
@@ -128,6 +128,7 @@ class Observation:
         time: [s] ROS time.
         positions: (n,) [rad] of the plan's arm; empty before there is a plan.
         velocities: (n,) [rad/s].
+        state_time: [s] ROS time at which positions and velocities were measured; NaN: now.
         gripping: Something is between the fingers.
         opening: [m] of the gripper.
         pulled: The person's pull on the object is felt now.
@@ -140,6 +141,7 @@ class Observation:
     time: float
     positions: FloatArray = field(default_factory=lambda: np.empty(0))
     velocities: FloatArray = field(default_factory=lambda: np.empty(0))
+    state_time: float = float("nan")
     gripping: bool = False
     opening: float = float("nan")
     pulled: bool = False
@@ -400,7 +402,8 @@ class HandoverProtocol:
         if len(stage.times) and self._gripper_start is None:
             elapsed = now.time - self._stage_start
             if elapsed < stage.duration:
-                error = tracking_error(stage, elapsed, now.positions)
+                age = now.time - now.state_time if np.isfinite(now.state_time) else 0.0
+                error = tracking_error(stage, elapsed - age, now.positions)
                 if error > self.settings.tracking_limit:
                     self._halt(
                         ErrorCode.TRACKING_ERROR,
@@ -481,6 +484,6 @@ class HandoverProtocol:
 
 def tracking_error(stage: Stage, elapsed: float, positions: FloatArray) -> float:
     """Return the largest joint error [rad] against the plan at ``elapsed`` [s] or up to ``COMMAND_DELAY`` before."""
-    instants = elapsed - np.linspace(0.0, COMMAND_DELAY, 4)
+    instants = elapsed - np.linspace(0.0, COMMAND_DELAY, 11)
     planned = np.stack([np.interp(instants, stage.times, column) for column in stage.positions.T], axis=1)
     return float(np.min(np.max(np.abs(positions - planned), axis=1)))

@@ -49,6 +49,7 @@ from handover_ros.nodes.convert import (
     image_message,
     numpy_array,
     plan_from_message,
+    seconds_from_stamp,
     stage_from_message,
     trajectory_message,
 )
@@ -120,7 +121,7 @@ class ExecutiveNode(HandoverNode):
         self.robot_state = Freshness("robot/joint_states", limit=1.0)
         self.pull = PullDetector(self.parameters["pull_threshold"], BASELINE_SAMPLES)
         self.pulled = False
-        self.joints: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # arm -> positions, velocities
+        self.joints: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}  # arm -> positions, velocities, stamp [s]
         self.grippers: dict[str, tuple[float, bool]] = {}  # arm -> opening [m], gripping
         self.objects: dict[str, np.ndarray] = {}  # name -> flat pose
         self.hand_markers: list[int] = []
@@ -175,7 +176,11 @@ class ExecutiveNode(HandoverNode):
             except KeyError:
                 continue
             positions = np.array(message.position)[columns]
-            self.joints[arm] = (positions, np.array(message.velocity)[columns])
+            self.joints[arm] = (
+                positions,
+                np.array(message.velocity)[columns],
+                seconds_from_stamp(message.header.stamp),
+            )
             run = self.run
             if run and run.protocol.phase is Phase.WAITING and run.plan and run.plan.arm == arm and message.effort:
                 effort = np.array(message.effort)[columns]
@@ -240,7 +245,7 @@ class ExecutiveNode(HandoverNode):
         trouble, code = self.trouble(run, now, wall)
         self.last_time = now
         arm = run.plan.arm if run.plan else ""
-        positions, velocities = self.joints.get(arm, (np.empty(0), np.empty(0)))
+        positions, velocities, state_time = self.joints.get(arm, (np.empty(0), np.empty(0), float("nan")))
         opening, gripping = self.grippers.get(arm, (float("nan"), False))
         name = run.protocol.object_name
         pose = self.objects.get(name)
@@ -248,6 +253,7 @@ class ExecutiveNode(HandoverNode):
             time=now,
             positions=positions,
             velocities=velocities,
+            state_time=state_time,
             gripping=gripping,
             opening=opening,
             pulled=self.pulled,

@@ -80,6 +80,7 @@ class MockedCell:
             return
         torque = self.robot.jacobian("left", self.positions)[:3].T @ np.array([-self.pull, 0.0, 0.0])
         state = JointState(name=list(self.names))
+        state.header.stamp = self.graph.node.get_clock().now().to_msg()
         state.position, state.velocity = float_array(self.positions), float_array(np.zeros(7))
         state.effort = float_array(torque)
         self.joint_publisher.publish(state)
