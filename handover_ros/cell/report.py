@@ -13,6 +13,7 @@ from importlib import metadata
 from pathlib import Path
 
 import matplotlib
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 import handover_ros
@@ -128,16 +129,13 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def handover_table(records: Sequence[HandoverRecord]) -> Table:
-    """Return the table of handovers for a terminal."""
-    table = Table(title="Handovers", title_justify="left")
+    """Return the table of how the handovers ended, for a terminal of 80 columns."""
+    table = Table(title="Handovers", title_justify="left", box=SIMPLE_HEAD)
     for heading in ("#", "object", "scheme", "arm", "taken", "placed"):
         table.add_column(heading)
-    phase_names = list(dict.fromkeys(name for record in records for name, _ in record.phases))
-    for name in phase_names:
-        table.add_column(f"{name} [s]", justify="right")
-    table.add_column("plan [s wall]", justify="right")
+    table.add_column("duration [s]", justify="right")
+    table.add_column("planning [s wall]", justify="right")
     for record in records:
-        durations = dict(record.phases)
         table.add_row(
             str(record.number),
             record.object_name,
@@ -145,9 +143,22 @@ def handover_table(records: Sequence[HandoverRecord]) -> Table:
             record.arm,
             "yes" if record.taken else "[red]no[/red]",
             "yes" if record.placed else "no",
-            *(f"{durations[name]:.1f}" if name in durations else "" for name in phase_names),
+            f"{record.duration:.1f}",
             f"{record.planning_time:.2f}" if math.isfinite(record.planning_time) else "",
         )
+    return table
+
+
+def phase_table(records: Sequence[HandoverRecord]) -> Table:
+    """Return the table of how long each phase took, in seconds of ROS time, for a terminal of 80 columns."""
+    table = Table(title="Phases [s]", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("#")
+    names = list(dict.fromkeys(name for record in records for name, _ in record.phases))
+    for name in names:
+        table.add_column(name, justify="right")
+    for record in records:
+        durations = dict(record.phases)
+        table.add_row(str(record.number), *(f"{durations[name]:.1f}" if name in durations else "" for name in names))
     return table
 
 

@@ -7,7 +7,7 @@ import math
 import statistics
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from handover_ros.cell.processes import CellProcesses, NodeLaunch
-from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, write_json
+from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, phase_table, write_json
 from handover_ros.errors import BadRecordingError, BadRequestError, HandoverError, UnknownNameError
 from handover_ros.mocap.marker_sets import matching_marker_set
 from handover_ros.mocap.recordings import read_recording
@@ -214,14 +214,16 @@ def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, 
     events_before = len(operator.events)
 
     def on_phase(phase: str, message: str) -> None:
-        console.print(f"  [dim]{number}/{request.handovers}[/dim] {phase:<10} {message}", highlight=False)
+        console.print(
+            f"  [dim]{number}/{request.handovers}[/dim] {phase:<10} {message}", highlight=False, soft_wrap=True
+        )
         if request.pictures and phase in ("waiting", "retracting"):
             pictures.append(operator.render())
 
     goal = ExecuteHandover.Goal(object_name=name, scheme=request.scheme)
     result = operator.hand_over(goal, on_phase, HANDOVER_LIMIT)
     if not result.success:
-        console.print(f"  [red]{result.message}[/red]", highlight=False)
+        console.print(f"  [red]{result.message}[/red]", highlight=False, soft_wrap=True)
 
     def happened(*kinds: str) -> bool:
         return any(event.kind in kinds and event.object_name == name for event in operator.events[events_before:])
@@ -245,7 +247,7 @@ def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, 
     )
 
 
-def wait_simulated(operator: Operator, predicate, limit: float) -> bool:
+def wait_simulated(operator: Operator, predicate: Callable[[], bool], limit: float) -> bool:
     """Wait for ``predicate`` at most ``limit`` [s] of simulated time; return whether it came true."""
 
     def now() -> float:
@@ -255,6 +257,12 @@ def wait_simulated(operator: Operator, predicate, limit: float) -> bool:
     deadline = now() + limit
     operator.wait(lambda: predicate() or now() > deadline, 10.0 * limit, "the simulated time to pass")
     return bool(predicate())
+
+
+def median(values: Iterable[float]) -> float:
+    """Return the median of the finite values, NaN when there are none."""
+    finite = [value for value in values if math.isfinite(value)]
+    return statistics.median(finite) if finite else math.nan
 
 
 def measured(operator: Operator, records: list[HandoverRecord]) -> dict[str, float]:
@@ -280,9 +288,9 @@ def measured(operator: Operator, records: list[HandoverRecord]) -> dict[str, flo
         "dropped": sum(event.kind == "dropped" for event in operator.events),
         "joint_limit_violations": truth.joint_limit_violations if truth else math.nan,
         "velocity_limit_violations": truth.velocity_limit_violations if truth else math.nan,
-        "realtime_factor": statistics.median(factors) if factors else math.nan,
-        "torso_fit_rms_mm": 1e3 * statistics.median(residuals) if residuals else math.nan,
-        "planning_s": statistics.median(record.planning_time for record in records),
+        "realtime_factor": median(factors),
+        "torso_fit_rms_mm": 1e3 * median(residuals),
+        "planning_s": median(record.planning_time for record in records),
         **metrics,
     }
 
@@ -299,6 +307,7 @@ def report(
     """Print the table and the numbers, and write the JSON."""
     console.print()
     console.print(handover_table(records))
+    console.print(phase_table(records))
     numbers = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for key, value in metrics.items():
         numbers.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))

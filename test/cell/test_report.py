@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, write_json, write_whole
+from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, phase_table, write_json, write_whole
 
 RECORDS = [
     HandoverRecord(1, "mug", "relative", "left", True, True, True, "fine", (("planning", 0.5), ("fetching", 6.1)), 0.4),
@@ -33,9 +34,9 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_table_names_every_handover_and_phase():
-    console = Console(width=160, record=True)
-    console.print(handover_table(RECORDS))
+def test_the_tables_name_every_handover_and_phase_in_80_columns():
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(handover_table(RECORDS), phase_table(RECORDS))
     text = console.export_text()
     for word in ("mug", "glass", "planning", "fetching", "6.1", "yes", "no"):
         assert word in text
