@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image, ImageOps
 
 from handover_ros.errors import BadModelError, UnknownNameError
 from handover_ros.sim.robot_body import DISPLAY_TEXTURE
@@ -102,8 +102,7 @@ class Renderer:
         if index < 0:
             return  # a robot without a display
         width, height = int(model.tex_width[index]), int(model.tex_height[index])
-        shown = Image.fromarray(picture)
-        shown.thumbnail((width, height))
+        shown = ImageOps.contain(Image.fromarray(picture), (width, height))
         canvas = Image.new("RGB", (width, height))
         canvas.paste(shown, ((width - shown.width) // 2, (height - shown.height) // 2))
         start = int(model.tex_adr[index])

@@ -81,6 +81,11 @@ class Simulation:
         return self._epoch + self._now
 
     @property
+    def clock_offset(self) -> float:
+        """What the clock showed at the last reset [s]."""
+        return self._epoch
+
+    @property
     def _now(self) -> float:
         """Time since the last reset [s]: what happens depends on this one only."""
         return self._steps * self.timestep
