@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +12,7 @@ from handover_ros.geometry import FloatArray, make_transform
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.regions import TaskSpaceRegion
 
+MODELS = 64  # object models whose answers are kept
 LEAST_HORIZONTAL = 0.6  # share of the palm's approach that must be horizontal to have a direction to face
 LEAST_TURN = 0.65  # [rad] between two ways to turn the same region
 GRID_LENGTH = 0.05  # [m]
@@ -32,6 +34,7 @@ class Facing:
     object_from_hand: FloatArray
 
 
+@lru_cache(maxsize=MODELS)
 def facings(model: ObjectModel) -> tuple[Facing, ...]:
     """Return the ways to turn an upright object to a person, those of the first grasp region first.
 
@@ -44,6 +47,7 @@ def facings(model: ObjectModel) -> tuple[Facing, ...]:
     return tuple(found) or (Facing("", 0.0, model.human_grasps[0].centre()),)
 
 
+@lru_cache(maxsize=MODELS)
 def object_centre(model: ObjectModel) -> FloatArray:
     """Return the middle of the box around an object's solids, in its own frame [m]. Shape (3,)."""
     corners = []
@@ -56,7 +60,9 @@ def object_centre(model: ObjectModel) -> FloatArray:
         else:
             half = np.abs(rotation[:, 2]) * part.size[1] / 2.0 + part.size[0]
         corners += [middle - half, middle + half]
-    return (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2.0
+    centre = (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2.0
+    centre.setflags(write=False)
+    return centre
 
 
 def turned_object(

@@ -37,6 +37,7 @@ class Search:
         self.deadline = deadline
         self.picking = Reasons()
         self.offering = Reasons()
+        self.grasps = 0
         self.picks = 0
         self.offers = 0
         self.paths_failed = 0
@@ -98,6 +99,7 @@ class HandoverPlanner:
         offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.world_from_torso)
         for arm in arms:
             lead, ready, picking = self._picking(arm, request.object_name, snapshot, search)
+            search.grasps += 1 if picking is None else len(picking.grasps)
             for offer in offers:
                 if picking is None:
                     break
@@ -109,7 +111,8 @@ class HandoverPlanner:
                         return _plan(request, scheme, combination, stages, elapsed, search)
                 if search.out_of_time:
                     break
-            search.picks += picking.found if picking is not None else 0
+            if picking is not None:
+                search.picks += picking.found
         raise self._refusal(request, search, arms)
 
     def scheme(self, name: str) -> Scheme:
@@ -272,12 +275,12 @@ class HandoverPlanner:
         """Return the error that says what stood in the way."""
         who = f"{request.object_name} with the {' or '.join(arms)} arm"
         spent = "; the time budget ran out" if search.out_of_time else ""
-        if not search.picks:
-            width = "" if search.picking.counts else ": no grasp fits the gripper's opening"
+        if not search.grasps:
+            return InfeasibleError(f"cannot pick up {who}: no grasp fits the gripper's opening; choose another arm")
+        if search.picking.counts and not search.picks:
             return InfeasibleError(
-                f"cannot pick up {who}: {search.picking.sentence()}{width}{spent}; move it into reach, "
-                "clear its surroundings",
-                search.picking.code if search.picking.counts else ErrorCode.NOT_REACHABLE,
+                f"cannot pick up {who}: {search.picking.sentence()}{spent}; move it into reach, clear its surroundings",
+                search.picking.code,
             )
         if search.paths_failed:
             return InfeasibleError(

@@ -54,6 +54,6 @@ def test_unknown_robot_lists_the_known():
 )
 def test_a_mistake_names_file_and_field(content, tmp_path, change, words):
     change(content)
-    with pytest.raises(BadModelError, match="robot.yaml") as caught:
+    with pytest.raises(BadModelError, match=r"robot\.yaml") as caught:
         read(content, tmp_path)
     assert words in str(caught.value)

@@ -1,5 +1,6 @@
 """Joint paths: valid everywhere, with the right ends; straight gripper lines."""
 
+import itertools
 import time
 
 import numpy as np
@@ -38,7 +39,7 @@ def test_path_goes_round_the_wall(seed):
     path = plan_path(wall_with_gap, START, GOAL, LIMITS, np.random.default_rng(seed), LATER)
     assert path is not None
     np.testing.assert_array_equal(path[[0, -1]], [START, GOAL])
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in itertools.pairwise(path):
         assert not any(inside_wall(a + t * (b - a)) for t in np.linspace(0, 1, 200))
 
 
@@ -50,7 +51,7 @@ def test_shortcuts_never_lengthen(seed):
     short = shorten(wall_with_gap, detour, rng, LATER, PathSettings())
     assert length(short) <= length(detour) + 1e-9
     np.testing.assert_array_equal(short[[0, -1]], [START, GOAL])
-    assert all(segment_is_free(wall_with_gap, a, b, 0.04) for a, b in zip(short[:-1], short[1:], strict=True))
+    assert all(segment_is_free(wall_with_gap, a, b, 0.04) for a, b in itertools.pairwise(short))
 
 
 def test_straight_when_that_is_free():

@@ -1,5 +1,7 @@
 """Trajectories: on the path, within the limits, from rest to rest."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,7 +27,7 @@ def random_path(seed):
 def nearest_distance(path, point):
     """Distance of a point from a polyline."""
     best = np.inf
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in itertools.pairwise(path):
         t = np.clip((point - a) @ (b - a) / max((b - a) @ (b - a), 1e-12), 0.0, 1.0)
         best = min(best, float(np.linalg.norm(a + t * (b - a) - point)))
     return best
