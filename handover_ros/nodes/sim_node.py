@@ -154,6 +154,7 @@ class SimNode(HandoverNode):
         self.runner.start()
         # Last: its presence says that the cell runs.
         self.create_service(ResetSimulation, "sim/reset", self.on_reset, callback_group=waiting)
+        self.artist.prepare(tuple(parameters["picture_size"]))
         self.ready(f"simulating scene {parameters['scene']}")
 
     # In the simulation's thread
@@ -358,7 +359,13 @@ class SimNode(HandoverNode):
         if self.runner.error is not None:
             self.crash_guard.trigger()
         pace, factor = self.runner.pace, self.runner.realtime_factor
-        values = {"realtime_factor": factor, "refused_messages": self.refused, "pictures": self.pictures}
+        values = {
+            "realtime_factor": factor,
+            "longest_slice_ms": 1e3 * self.runner.longest_slice,
+            "refused_messages": self.refused,
+            "pictures": self.pictures,
+        }
+        self.runner.longest_slice = 0.0
         slow = pace > 0.0 and 0.0 < factor < 0.9 * pace
         line = f"{factor:.2f} times real time" + (f", slower than the {pace:g} asked for" if slow else "")
         return not slow, line, values

@@ -6,3 +6,5 @@ MuJoCo chooses how to draw when it is imported: without a screen, through EGL, u
 import os
 
 os.environ.setdefault("MUJOCO_GL", "egl")
+# Mesa's software renderer takes all cores for each picture, unless told otherwise; the cell's nodes need them.
+os.environ.setdefault("LP_NUM_THREADS", "1")

@@ -39,18 +39,25 @@ class Artist:
         """Put a picture (height, width, 3) on the robot's head display from the next drawing on."""
         self._thread.submit(self._show, picture)
 
+    def prepare(self, size: Size) -> None:
+        """Make the renderer of a size ahead of its first picture; without OpenGL the first picture will say so."""
+        self._thread.submit(self._renderer, size)
+
     def close(self) -> None:
         """Finish what was begun and free the graphics memory."""
         self._thread.submit(self._close)
         self._thread.shutdown(wait=True, cancel_futures=False)
 
     def _draw(self, snapshot: mujoco.MjData, camera: str, size: Size) -> Picture:
+        return self._renderer(size).render(snapshot, camera)
+
+    def _renderer(self, size: Size) -> Renderer:
         if size not in self._renderers:
             renderer = Renderer(self._world, *size)
             if self._shown is not None:
                 renderer.show_on_display(self._shown)
             self._renderers[size] = renderer
-        return self._renderers[size].render(snapshot, camera)
+        return self._renderers[size]
 
     def _show(self, picture: Picture) -> None:
         self._shown = picture

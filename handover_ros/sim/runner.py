@@ -27,6 +27,12 @@ class SimulationRunner:
         simulation: What to run.
         realtime_factor: Simulated seconds per second of wall time; 0: as fast as possible.
         after_slice: Called in the runner's thread after every few milliseconds of simulated time.
+
+    Attributes:
+        pace: The wanted realtime factor; may be changed at any time.
+        realtime_factor: The measured one, over the last second.
+        longest_slice: Longest time that a slice took [s] of wall time, since somebody set it to 0.
+        error: What ended the simulation, None while it is well.
     """
 
     def __init__(
@@ -40,6 +46,7 @@ class SimulationRunner:
         self._steps_per_slice = max(1, round(SLICE / simulation.timestep))
         self.pace = realtime_factor
         self.realtime_factor = 0.0
+        self.longest_slice = 0.0
         self.error: BaseException | None = None
 
     def start(self) -> None:
@@ -86,12 +93,14 @@ class SimulationRunner:
         due = measured_at = time.perf_counter()
         measured_time = simulation.time
         while not self._stopping.is_set():
+            now = time.perf_counter()
             self._serve_requests()
             before = simulation.time
             for _ in range(self._steps_per_slice):
                 simulation.step()
             self._after_slice(simulation)
-            now = time.perf_counter()
+            began, now = now, time.perf_counter()
+            self.longest_slice = max(self.longest_slice, now - began)
             if now - measured_at >= FACTOR_PERIOD:
                 self.realtime_factor = (simulation.time - measured_time) / (now - measured_at)
                 measured_at, measured_time = now, simulation.time
