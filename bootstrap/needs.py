@@ -80,7 +80,7 @@ def build_tool_needs() -> list[Need]:
     return [
         Need(name, True, path)
         if (path := shutil.which(name))
-        else Need(name, False, "missing", f"apt-get install {name}")
+        else Need(name, False, f"no {name}", f"apt-get install {name}")
         for name in ("cmake", "make")
     ]
 
@@ -94,3 +94,12 @@ def disk_need(folder: Path, needed: float) -> Need:
         return Need("disk", True, detail)
     remedy = f"free {needed - free:.1f} GB more, or set HANDOVER_HOME to a folder on another disk"
     return Need("disk", False, f"{detail}, {needed:.1f} GB needed", remedy)
+
+
+def combined(missing: list[Need]) -> str:
+    """Return one line for everything that is missing; packages to install become one command."""
+    install = "apt-get install "
+    packages = [need.remedy[len(install) :] for need in missing if need.remedy.startswith(install)]
+    remedies = [install + " ".join(packages)] if packages else []
+    remedies += [need.remedy for need in missing if not need.remedy.startswith(install)]
+    return f"{', '.join(need.detail for need in missing)}; {'; '.join(remedies)}"

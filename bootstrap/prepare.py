@@ -18,6 +18,7 @@ from bootstrap.needs import (
     DISK_NEEDED_SOURCED,
     Need,
     build_tool_needs,
+    combined,
     compiler_need,
     disk_need,
     headers_need,
@@ -66,8 +67,7 @@ def prepare(setup: Setup) -> None:
             steps = setup.outstanding()
             missing = [need for need in needs(setup, steps) if not need.found]
             if missing:
-                lines = [f"{need.name}: {need.detail}; {need.remedy}" for need in missing]
-                raise SetupError("cannot set up: " + " | ".join(lines))
+                raise SetupError(f"cannot set up: {combined(missing)}")
             for number, step in enumerate(steps, 1):
                 with Step(number, len(steps), step.title) as line:
                     setup.stamps.set(step.name, UNFINISHED)
