@@ -212,8 +212,8 @@ class HandoverPlanner:
             return None
         posture = present[-1]
         given = replace(snapshot, objects={**snapshot.objects, pick.held.name: chosen.offer.world_from_object})
-        letting_go = motion.checker(arm, given, touched=pick.held.name)
-        back = motion.back_off(arm, posture, reach.validity(letting_go, standing))
+        letting_go = reach.validity(motion.checker(arm, given, touched=pick.held.name), standing)
+        back = motion.back_off(arm, posture, letting_go)
         away = reach.validity(motion.checker(arm, given), standing)
         home = motion.robot.arm(arm).home
         path_home = None
@@ -224,12 +224,12 @@ class HandoverPlanner:
         if back is None or path_home is None or fetch is None:
             search.paths_failed += 1
             return None
-        careful = settings.careful_speed
+        # Back and home in one go: the person may move the object as soon as it is let go.
+        retract = motion.timed(arm, np.vstack([back, path_home[1:]]), letting_go, settings.present_speed)
         return (
             *fetch,
             PlannedStage("present", motion.timed(arm, present, carrying, settings.present_speed)),
-            PlannedStage("retract", motion.timed(arm, back, None, careful), motion.robot.arm(arm).opening[1]),
-            PlannedStage("home", motion.timed(arm, path_home, away)),
+            PlannedStage("retract", retract, motion.robot.arm(arm).opening[1]),
         )
 
     def _fetch(

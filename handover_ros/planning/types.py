@@ -69,7 +69,7 @@ class PlannedStage:
     """One piece of robot motion, then a gripper command.
 
     Attributes:
-        name: approach, grasp, lift, present, retract, home.
+        name: approach, grasp, lift, present, retract.
         trajectory: The motion of the arm.
         opening: Gripper opening [m] commanded after the motion; NaN: leave it.
     """
@@ -95,8 +95,8 @@ class HandoverPlan:
         facing_region: Human grasp region turned to the person; empty: none.
         world_from_hand: The person's hand there. Shape (4, 4).
         nominal: Whether the scheme's own position was reachable, not only one beside it.
-        stages: approach, grasp, lift, present, retract, home; without the first two (or three) when the robot holds the
-            object already.
+        stages: approach, grasp, lift, present, retract (back off and home); without the first two or three when the
+            robot holds the object already.
         planning_time: Wall time [s].
         candidates: Handover poses looked at.
         explanation: Sentences for a person.

@@ -43,7 +43,6 @@ def stage_checks(plan, cell):
                 "lift": lambda: motion.checker(plan.arm, cell, held),
                 "present": lambda: motion.checker(plan.arm, cell, held),
                 "retract": lambda: motion.checker(plan.arm, given, touched=name),
-                "home": lambda: motion.checker(plan.arm, given),
             }[stage.name](),
         )
 

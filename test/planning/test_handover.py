@@ -10,7 +10,7 @@ from handover_ros.errors import ErrorCode, InfeasibleError, StaleDataError, Unkn
 from handover_ros.geometry import invert_transform, transform_from_xyz_rpy
 from handover_ros.planning import HandoverRequest
 
-STAGES = ["approach", "grasp", "lift", "present", "retract", "home"]
+STAGES = ["approach", "grasp", "lift", "present", "retract"]
 
 
 def plan(name, cell=None, **fields):
@@ -89,7 +89,7 @@ def test_an_object_in_the_gripper_is_not_fetched_again():
         gripping=frozenset([made.arm]),
     )
     again = plan("mug", holding)
-    assert [stage.name for stage in again.stages] == ["present", "retract", "home"]
+    assert [stage.name for stage in again.stages] == ["present", "retract"]
     check_plan(again, holding)
     with pytest.raises(InfeasibleError, match="holds mug") as caught:
         plan("glass", holding, arm=made.arm)
