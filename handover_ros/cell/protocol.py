@@ -459,7 +459,11 @@ class HandoverProtocol:
             return
         self._enter(Phase.RETURNING, f"{message}; going back")
         self._queue, self._stage, self._gripper_start = [], None, None
-        self._pending += [Stop(), Show("Please wait"), RequestReturn(self._holding)]
+        self._pending += [Stop(), Show("Please wait")]
+        if not self._holding:
+            # Closed fingers that hold nothing may still be around something: never move away with them.
+            self._pending.append(MoveGripper(self.plan.release_stage().opening))
+        self._pending.append(RequestReturn(self._holding))
 
     def _halt(self, code: ErrorCode, message: str) -> None:
         """End with a failure at once, the robot stopped where it is."""
