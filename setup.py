@@ -1,6 +1,5 @@
 """Installs handover_ros as an ament_python package."""
 
-from glob import glob
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -11,10 +10,11 @@ NODES = ["sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_n
 
 def config_data_files():
     """List config/ and launch/ for installation under share/handover_ros, folder by folder."""
-    folders = ["config", *(str(path) for path in Path("config").glob("*") if path.is_dir()), "launch"]
+    folders = [folder for root in ("config", "launch") for folder in (Path(root), *sorted(Path(root).rglob("*/")))]
     return [
-        (f"share/{PACKAGE}/{folder}", [name for name in sorted(glob(f"{folder}/*")) if Path(name).is_file()])
-        for folder in sorted(folders)
+        (f"share/{PACKAGE}/{folder}", [str(path) for path in sorted(folder.glob("*")) if path.is_file()])
+        for folder in folders
+        if folder.is_dir() and folder.name != "__pycache__"
     ]
 
 

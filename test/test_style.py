@@ -1,0 +1,27 @@
+"""The house style, as far as tools can hold it."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parent.parent
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments"),
+    [
+        ("ruff", ["check", "--no-cache", "."]),
+        ("ruff", ["format", "--check", "--no-cache", ".", "handover"]),
+        ("mypy", ["--no-error-summary", "handover_ros", "bootstrap"]),
+    ],
+    ids=["ruff check", "ruff format", "mypy"],
+)
+def test_tool_finds_nothing(tool, arguments):
+    if importlib.util.find_spec(tool) is None:
+        pytest.skip(f"{tool} is not installed")
+    command = [sys.executable, "-m", tool, *arguments]
+    answer = subprocess.run(command, cwd=SOURCE, capture_output=True, text=True, timeout=600, check=False)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
