@@ -32,7 +32,9 @@ LONGEST_CLOSING = 2.0
 PULL_RISE = 0.5
 PULL_REST = 1.5
 LONGEST_DRAG = 0.12
-RELEASED_FOR = 0.15
+RELEASED_FOR = 0.15  # [s] the object must be free before the person moves it
+CLEARED = 0.07  # [m] the gripper must have backed off, or the object would catch between the fingers
+LONGEST_CLEARING = 2.5  # [s] the person waits for that
 NEXT_TRY = 1.5
 
 
@@ -80,6 +82,7 @@ class PersonBehaviour:
         self._next_try = -np.inf
         self._offered_at = np.eye(4)
         self._released_since: float | None = None
+        self._grippers_at_release = np.zeros(0)
         # Hands of the present object: wanted grips, grips when it was taken, and how they hold it.
         self._targets: dict[str, FloatArray] = {}
         self._grips: dict[str, FloatArray] = {}
@@ -212,13 +215,27 @@ class PersonBehaviour:
             return
         if self._released_since is None:
             self._released_since = time
+            self._grippers_at_release = self._gripper_distances(data, view)
             self._body.pull({}, 0.0)
             self._body.bear(self._taken, tuple(self._targets), time)
-        elif time - self._released_since >= RELEASED_FOR:
-            if self.behaviour == "drop":
-                self._return(time)
-            else:
-                self._carry(data, time, view)
+        elif self.behaviour == "drop" and time - self._released_since >= RELEASED_FOR:
+            self._return(time)
+        elif self._gripper_is_clear(data, time, view):
+            self._carry(data, time, view)
+
+    def _gripper_distances(self, data: mujoco.MjData, view: PersonView) -> FloatArray:
+        """Return how far each gripper is from the taken object [m]."""
+        grippers = np.array([data.site_xpos[site] for site in self._gripper_sites.values()]).reshape(-1, 3)
+        return np.linalg.norm(grippers - view.objects[self._taken][:3, 3], axis=1)
+
+    def _gripper_is_clear(self, data: mujoco.MjData, time: float, view: PersonView) -> bool:
+        """Return whether the robot that let go has backed off, or has not for long enough."""
+        waited = time - self._released_since
+        distances = self._gripper_distances(data, view)
+        if not len(distances) or waited > LONGEST_CLEARING:
+            return waited >= RELEASED_FOR
+        nearest = int(np.argmin(self._grippers_at_release))
+        return bool(distances[nearest] - self._grippers_at_release[nearest] >= CLEARED)
 
     def _carry(self, data: mujoco.MjData, time: float, view: PersonView) -> None:
         """Plan the way to the goal and set off; without a goal, keep it."""
