@@ -49,7 +49,7 @@ def python_need() -> Need:
     version = platform.python_version()
     short = ".".join(version.split(".")[:2])
     if not importlib.util.find_spec("venv") or not importlib.util.find_spec("ensurepip"):
-        return Need("python", False, f"{version} without venv", f"apt-get install python{short}-venv")
+        return Need("python", False, f"Python {version} has no venv", f"apt-get install python{short}-venv")
     return Need("python", True, version)
 
 
