@@ -15,14 +15,16 @@ from visualization_msgs.msg import MarkerArray
 
 from handover_ros.errors import BadRequestError, ErrorCode, StaleDataError
 from handover_ros.geometry import FloatArray, transform_from_pose
-from handover_ros.nodes.convert import numpy_array, transform_from_message
+from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
 from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, Worker, answer, main_of, monotonic
 from handover_ros.objects import load_catalogue, load_scene
 from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, PlannerSettings, load_schemes
 from handover_ros.robot import RobotModel, Trajectory
+from handover_ros.skeleton.stillness import Stillness
 
+STILL_POLL = 0.05  # [s] of wall time between two looks whether the person stands still
 PUT_BACK = "put_back"  # PlanMotion.posture: bring the held object back to where it was planned to be taken from
 DEFAULTS = PlannerSettings()
 AGE = "[s] of wall time after which it is too old to plan with"
@@ -41,6 +43,7 @@ PARAMETERS = (
     ParameterSpec("joint_state_age", 1.0, f"robot/joint_states: {AGE}", 0.1, 60.0),
     ParameterSpec("torso_age", 1.0, f"the person's torso: {AGE}", 0.1, 60.0),
     ParameterSpec("object_age", 2.0, f"an object's pose: {AGE}", 0.1, 600.0),
+    ParameterSpec("still_wait", 6.0, "[s] of ROS time a moving person gets to come to rest", 0.0, 60.0),
     ParameterSpec("seed", 0, "of the random searches", 0, 2**31 - 1),
 )
 SETTINGS = (
@@ -71,6 +74,7 @@ class PlannerNode(HandoverNode):
         self.joints: dict[str, tuple[float, FloatArray]] = {}
         self.objects: dict[str, tuple[float, FloatArray]] = {}
         self.torso: tuple[float, FloatArray] | None = None
+        self.stillness = Stillness()
         self.gripping: frozenset[str] = frozenset()
         self.taken_from: dict[str, FloatArray] = {}  # object -> world_from_object when it was planned to be fetched
         self.numbers = itertools.count(1)
@@ -124,7 +128,9 @@ class PlannerNode(HandoverNode):
         if not message.valid:
             return
         try:
-            self.torso = monotonic(), transform_from_message(message.torso.pose, "torso")
+            torso = transform_from_message(message.torso.pose, "torso")
+            self.torso = monotonic(), torso
+            self.stillness.update(seconds_from_stamp(message.header.stamp), torso)
         except BadRequestError as error:
             self.last_problem = f"human/skeleton_state: {error}"
 
@@ -175,6 +181,7 @@ class PlannerNode(HandoverNode):
             time_budget=request.time_budget,
             world_from_goal=goal_of(request.goal) if request.has_goal else None,
         )
+        await self.until_person_is_still()
         try:
             snapshot, plan = await self.worker.submit(self.work_on_handover, wanted)
         except Exception as error:
@@ -192,6 +199,18 @@ class PlannerNode(HandoverNode):
         self.plan_publisher.publish(response.plan)
         model = self.planner.motion.object_model(plan.object_name)
         self.visual_publisher.publish(plan_visual(plan, model, snapshot.world_from_torso, stamp))
+
+    async def until_person_is_still(self) -> None:
+        """Let a person who moves come to rest before planning for where they stand, for a bounded time."""
+        give_up, wall = self.seconds_now() + self.parameters["still_wait"], monotonic()
+        while (
+            self.torso is not None
+            and wall - self.torso[0] <= self.parameters["torso_age"]
+            and not self.stillness.still()
+            and self.seconds_now() < give_up
+        ):
+            await self.pause(STILL_POLL)
+            wall = monotonic()
 
     def work_on_handover(self, wanted: HandoverRequest) -> tuple[CellSnapshot, Any]:
         """Return the snapshot and the plan made from it; runs in the worker thread."""

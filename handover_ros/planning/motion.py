@@ -167,7 +167,7 @@ class MotionPlanner:
         """Return a path (k, n) between displacements through valid ones, or None."""
         model = self.robot.arm(arm)
         rng = np.random.default_rng(self.settings.seed)
-        return plan_path(valid, start, goal, (model.lower, model.upper), rng, deadline, settings)
+        return plan_path(valid, start, goal, (model.planning_lower, model.planning_upper), rng, deadline, settings)
 
     def line(self, arm: str, start: FloatArray, shift: FloatArray, valid: Validity) -> FloatArray | None:
         """Return displacements (k, n) that shift the gripper straight by ``shift`` [m] in the world, or None."""

@@ -38,7 +38,7 @@ class InverseKinematics:
         self.arm = robot.arm(arm)
         axes, points, tip = robot.chain(arm)
         self._chain = tuple(np.ascontiguousarray(part) for part in (axes, points, tip))
-        self._lower, self._upper = self.arm.lower.copy(), self.arm.upper.copy()
+        self._lower, self._upper = self.arm.planning_lower, self.arm.planning_upper
         rng = np.random.default_rng(seed)
         self._library = rng.uniform(self._lower, self._upper, size=(LIBRARY_SIZE, len(self._lower)))
         self._library_poses = kernels.forward_many(*self._chain, self._library)

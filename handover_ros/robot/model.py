@@ -16,6 +16,8 @@ from handover_ros.geometry import FloatArray, transform_from_xyz_rpy
 from handover_ros.robot.description import RobotDescription, read_description, share_directory
 
 FORCE_DAMPING = 1e-3
+#: [rad] that planned motions keep from the position limits: a servo overshoots, a person pulls.
+LIMIT_MARGIN = 0.03
 
 
 def _frozen(values: npt.ArrayLike) -> FloatArray:
@@ -55,6 +57,16 @@ class ArmModel:
     finger_joints: tuple[str, ...]
     opening: tuple[float, float]
     postures: Mapping[str, FloatArray]
+
+    @property
+    def planning_lower(self) -> FloatArray:
+        """Lower position limits of planned motions [rad]. Shape (n,)."""
+        return self.lower + LIMIT_MARGIN
+
+    @property
+    def planning_upper(self) -> FloatArray:
+        """Upper position limits of planned motions [rad]. Shape (n,)."""
+        return self.upper - LIMIT_MARGIN
 
     @property
     def home(self) -> FloatArray:
