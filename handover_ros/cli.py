@@ -68,7 +68,7 @@ def demo(
         Path | None, typer.Option(metavar="FILE", help="C3D, TRC or Vicon CSV instead of the simulated cameras.")
     ] = None,
     marker_set: Annotated[str, typer.Option(help="Marker set of the recording; auto: the one that fits.")] = "auto",
-    speed: SpeedOption = 2.0,
+    speed: SpeedOption = 1.0,
     pictures: Annotated[bool, typer.Option(help="Render pictures of each handover.")] = True,
     seed: SeedOption = 1,
     json_file: JsonOption = None,

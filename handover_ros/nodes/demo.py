@@ -202,8 +202,8 @@ def hand_over_all(
 ) -> Iterator[HandoverRecord]:
     """Run the handovers one after the other and give a record of each."""
     for number, name in zip(range(1, request.handovers + 1), itertools.cycle(objects), strict=False):
-        if number > 1 and (number - 1) % len(objects) == 0:
-            # Everything has been handed over once: put it back on the tables.
+        if number > 1:
+            # What was handed over goes back to its table, so that every handover starts alike.
             operator.call(ResetSimulation, "sim/reset", ResetSimulation.Request(seed=-1, objects_only=True))
         yield hand_over(number, name, request, operator, console)
 

@@ -338,6 +338,7 @@ class ExecutiveNode(HandoverNode):
     def tick(self) -> None:
         """Step the protocol and keep the robot enabled while a handover is under way."""
         wall, run = monotonic(), self.run
+        self.liveness.lost(wall)  # asked at every turn, so that the monitor knows when this process itself stalled
         if run is not None and not run.done.done():
             if run.goal.is_cancel_requested and not run.cancelled:
                 run.cancelled = True

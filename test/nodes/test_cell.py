@@ -32,7 +32,7 @@ class Cell:
 
     def __init__(self, graph: Graph, tmp_path: Path) -> None:
         self.graph = graph
-        self.own = {"sim_node": {"realtime_factor": 3.0, "seed": 1, "picture_directory": str(tmp_path)}}
+        self.own = {"sim_node": {"realtime_factor": 1.5, "seed": 1, "picture_directory": str(tmp_path)}}
         self.processes: dict[str, NodeProcess] = {}
         self.events = graph.collect(SimulationEvent, "sim/events", RECORDER)
         self.truths: list[SimulationTruth] = []
@@ -122,6 +122,8 @@ def test_two_objects_end_in_the_persons_hand_and_bad_requests_leave_the_nodes_up
         wait_for(lambda name=name: cell.saw("placed", name), HANDOVER, f"the {name} to be put down")
         assert list(result.phases) == ["planning", "fetching", "presenting", "waiting", "releasing", "retracting"]
         assert min(result.phase_durations) >= 0.0
+        put_back = ResetSimulation.Request(seed=-1, objects_only=True)
+        assert cell.graph.call(ResetSimulation, "sim/reset", put_back).success
     assert [event.message for event in cell.events if event.kind == "dropped"] == []
     truth = cell.truths[-1]
     assert (truth.joint_limit_violations, truth.velocity_limit_violations) == (0, 0)
