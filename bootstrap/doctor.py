@@ -6,7 +6,6 @@ It works before anything is set up, changes nothing (but for ``--clean``) and ne
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
 import platform
@@ -25,6 +24,7 @@ from bootstrap.needs import (
     build_tool_needs,
     compiler_need,
     disk_need,
+    has_egl,
     headers_need,
     platform_need,
     python_need,
@@ -154,9 +154,7 @@ def _imports(setup: Setup) -> list[Need]:
 
 def _rendering(setup: Setup, outstanding: set[str]) -> Need:
     """Pictures are drawn without a screen; the graph runs without them."""
-    try:
-        ctypes.CDLL("libEGL.so.1")
-    except OSError:
+    if not has_egl():
         return Need("rendering", False, "no libEGL.so.1; no pictures", GL_PACKAGES)
     if outstanding & {"venv", "packages"}:
         return Need("rendering", True, "libEGL.so.1 is there; not tried yet")

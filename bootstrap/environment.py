@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bootstrap.layout import Layout
+from bootstrap.needs import has_egl
 from bootstrap.ros import SourcedRos
 
 
@@ -56,7 +57,9 @@ def cell_environment(layout: Layout, ros: SourcedRos | None) -> dict[str, str]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "FASTDDS_DEFAULT_PROFILES_FILE" not in environment:
         environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(layout.source / "config" / "fastdds.xml"))
-    environment.setdefault("MUJOCO_GL", "egl")
+    if "MUJOCO_GL" not in environment:
+        # Without EGL the cell runs all the same, without pictures.
+        environment["MUJOCO_GL"] = "egl" if has_egl() else "disabled"
     environment.setdefault("NUMBA_CACHE_DIR", str(cache / "numba"))
     return environment
 

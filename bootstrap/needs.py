@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import os
 import platform
@@ -83,6 +84,15 @@ def build_tool_needs() -> list[Need]:
         else Need(name, False, f"no {name}", f"apt-get install {name}")
         for name in ("cmake", "make")
     ]
+
+
+def has_egl() -> bool:
+    """Tell whether pictures can be drawn without a screen; without it MuJoCo must not be told to use EGL."""
+    try:
+        ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return False
+    return True
 
 
 def disk_need(folder: Path, needed: float) -> Need:

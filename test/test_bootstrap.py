@@ -288,7 +288,7 @@ def test_operator_settings_are_kept_and_the_rest_is_safe(tmp_path, monkeypatch):
     environment = cell_environment(layout, None)
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert Path(environment["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()
-    assert environment["MUJOCO_GL"] == "egl"
+    assert environment["MUJOCO_GL"] in ("egl", "disabled")  # by whether the machine has EGL
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     environment = cell_environment(layout, None)

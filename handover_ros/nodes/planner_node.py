@@ -14,16 +14,18 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from handover_ros.errors import BadRequestError, ErrorCode, StaleDataError
-from handover_ros.geometry import FloatArray, transform_from_pose
+from handover_ros.geometry import FloatArray, rotation_angle, transform_from_pose
 from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
 from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, Worker, answer, main_of, monotonic
 from handover_ros.objects import load_catalogue, load_scene
 from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, PlannerSettings, load_schemes
+from handover_ros.planning.types import OutdatedSnapshotError
 from handover_ros.robot import RobotModel, Trajectory
 from handover_ros.skeleton.stillness import Stillness
 
+MOVED_DISTANCE, MOVED_ANGLE = 0.08, 0.17  # [m], [rad] of the torso that make a plan be made anew
 STILL_POLL = 0.05  # [s] of wall time between two looks whether the person stands still
 PUT_BACK = "put_back"  # PlanMotion.posture: bring the held object back to where it was planned to be taken from
 DEFAULTS = PlannerSettings()
@@ -43,7 +45,7 @@ PARAMETERS = (
     ParameterSpec("joint_state_age", 1.0, f"robot/joint_states: {AGE}", 0.1, 60.0),
     ParameterSpec("torso_age", 1.0, f"the person's torso: {AGE}", 0.1, 60.0),
     ParameterSpec("object_age", 2.0, f"an object's pose: {AGE}", 0.1, 600.0),
-    ParameterSpec("still_wait", 6.0, "[s] of ROS time a moving person gets to come to rest", 0.0, 60.0),
+    ParameterSpec("still_wait", 10.0, "[s] of ROS time a moving person gets to come to rest", 0.0, 60.0),
     ParameterSpec("seed", 0, "of the random searches", 0, 2**31 - 1),
 )
 SETTINGS = (
@@ -181,9 +183,16 @@ class PlannerNode(HandoverNode):
             time_budget=request.time_budget,
             world_from_goal=goal_of(request.goal) if request.has_goal else None,
         )
-        await self.until_person_is_still()
+        give_up = self.seconds_now() + self.parameters["still_wait"]
         try:
-            snapshot, plan = await self.worker.submit(self.work_on_handover, wanted)
+            while True:
+                await self.until_person_is_still(give_up)
+                patient = self.seconds_now() < give_up
+                try:
+                    snapshot, plan = await self.worker.submit(self.work_on_handover, wanted, patient)
+                    break
+                except OutdatedSnapshotError as error:
+                    self.last_problem = str(error)
         except Exception as error:
             self.refusals, self.last_problem = self.refusals + 1, str(error)
             raise
@@ -200,9 +209,9 @@ class PlannerNode(HandoverNode):
         model = self.planner.motion.object_model(plan.object_name)
         self.visual_publisher.publish(plan_visual(plan, model, snapshot.world_from_torso, stamp))
 
-    async def until_person_is_still(self) -> None:
-        """Let a person who moves come to rest before planning for where they stand, for a bounded time."""
-        give_up, wall = self.seconds_now() + self.parameters["still_wait"], monotonic()
+    async def until_person_is_still(self, give_up: float) -> None:
+        """Let a person who moves come to rest before planning for where they stand, until ``give_up`` [s] at most."""
+        wall = monotonic()
         while (
             self.torso is not None
             and wall - self.torso[0] <= self.parameters["torso_age"]
@@ -212,12 +221,23 @@ class PlannerNode(HandoverNode):
             await self.pause(STILL_POLL)
             wall = monotonic()
 
-    def work_on_handover(self, wanted: HandoverRequest) -> tuple[CellSnapshot, Any]:
-        """Return the snapshot and the plan made from it; runs in the worker thread."""
+    def work_on_handover(self, wanted: HandoverRequest, patient: bool) -> tuple[CellSnapshot, Any]:
+        """Return the snapshot and the plan made from it; runs in the worker thread.
+
+        While ``patient``, a person who moves meanwhile ends the search, to be started anew.
+        """
         scheme = self.planner.scheme(wanted.scheme)
         self.planner.motion.object_model(wanted.object_name)
         snapshot = self.snapshot(scheme.needs_person)
-        return snapshot, self.planner.plan(wanted, snapshot)
+
+        def outdated() -> bool:
+            now, then = self.torso, snapshot.world_from_torso
+            if not (patient and scheme.needs_person) or now is None or then is None:
+                return False
+            moved = np.linalg.norm(now[1][:3, 3] - then[:3, 3])
+            return bool(moved > MOVED_DISTANCE) or rotation_angle(now[1], then) > MOVED_ANGLE
+
+        return snapshot, self.planner.plan(wanted, snapshot, outdated)
 
     async def fill_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> None:
         """Plan in the worker thread and fill the response."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,14 @@ from handover_ros.objects.scene import Scene
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
 from handover_ros.planning.picking import Holding, Pick, Picking, held_pick
 from handover_ros.planning.schemes import Offer, Scheme
-from handover_ros.planning.types import CellSnapshot, HandoverPlan, HandoverRequest, PlannedStage, PlannerSettings
+from handover_ros.planning.types import (
+    CellSnapshot,
+    HandoverPlan,
+    HandoverRequest,
+    OutdatedSnapshotError,
+    PlannedStage,
+    PlannerSettings,
+)
 from handover_ros.robot.collision import Reason
 from handover_ros.robot.model import RobotModel
 from handover_ros.robot.path import Validity, straight_line
@@ -78,13 +85,21 @@ class HandoverPlanner:
         self.motion = MotionPlanner(robot, scene, catalogue, settings)
         self.schemes = schemes
 
-    def plan(self, request: HandoverRequest, snapshot: CellSnapshot) -> HandoverPlan:
+    def plan(
+        self, request: HandoverRequest, snapshot: CellSnapshot, outdated: Callable[[], bool] = lambda: False
+    ) -> HandoverPlan:
         """Return a plan for a handover, from where the robot stands to its home posture.
 
         The offers of the scheme are tried in order, each with the grasps that can pick the object up; the first offer
         with a collision-free way wins, its cheapest combination first.
 
+        Args:
+            request: What is wanted.
+            snapshot: The cell as it was seen.
+            outdated: Asked before each offer and at the end: whether the snapshot no longer holds.
+
         Raises:
+            OutdatedSnapshotError: It no longer holds.
             UnknownNameError: No such object, scheme or arm; the message lists those there are.
             StaleDataError: The scheme needs the person and nobody is tracked.
             InfeasibleError: The object is not seen, or nothing is reachable; the message counts why.
@@ -104,9 +119,11 @@ class HandoverPlanner:
                 if picking is None:
                     break
                 search.offers += 1
+                _refuse_outdated(outdated)
                 for combination in self._combinations(offer, picking, ready, search):
                     stages = self._stages(combination, lead, ready, search)
                     if stages is not None:
+                        _refuse_outdated(outdated)
                         elapsed = time.monotonic() - started
                         return _plan(request, scheme, combination, stages, elapsed, search)
                 if search.out_of_time:
@@ -293,6 +310,12 @@ class HandoverPlanner:
             "come into reach, or choose another scheme",
             search.offering.code,
         )
+
+
+def _refuse_outdated(outdated: Callable[[], bool]) -> None:
+    """Raise OutdatedSnapshotError when the snapshot no longer holds."""
+    if outdated():
+        raise OutdatedSnapshotError("the person moved while the handover was planned")
 
 
 def _plan(

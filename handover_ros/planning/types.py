@@ -7,11 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handover_ros.errors import BadRequestError
+from handover_ros.errors import BadRequestError, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.robot.trajectory import Trajectory
 
 ROTATION_TOLERANCE = 2e-3
+
+
+class OutdatedSnapshotError(StaleDataError):
+    """The cell changed while a plan was searched for; plan again from a new snapshot."""
 
 
 @dataclass(frozen=True, eq=False)

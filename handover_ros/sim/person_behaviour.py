@@ -220,7 +220,7 @@ class PersonBehaviour:
             self._body.bear(self._taken, tuple(self._targets), time)
         elif self.behaviour == "drop" and time - self._released_since >= RELEASED_FOR:
             self._return(time)
-        elif self._gripper_is_clear(data, time, view):
+        elif self._gripper_is_clear(data, time - self._released_since, view):
             self._carry(data, time, view)
 
     def _gripper_distances(self, data: mujoco.MjData, view: PersonView) -> FloatArray:
@@ -228,9 +228,8 @@ class PersonBehaviour:
         grippers = np.array([data.site_xpos[site] for site in self._gripper_sites.values()]).reshape(-1, 3)
         return np.linalg.norm(grippers - view.objects[self._taken][:3, 3], axis=1)
 
-    def _gripper_is_clear(self, data: mujoco.MjData, time: float, view: PersonView) -> bool:
-        """Return whether the robot that let go has backed off, or has not for long enough."""
-        waited = time - self._released_since
+    def _gripper_is_clear(self, data: mujoco.MjData, waited: float, view: PersonView) -> bool:
+        """Return whether the robot that let go ``waited`` [s] ago has backed off, or has not for long enough."""
         distances = self._gripper_distances(data, view)
         if not len(distances) or waited > LONGEST_CLEARING:
             return waited >= RELEASED_FOR
