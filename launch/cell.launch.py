@@ -61,7 +61,6 @@ def generate_launch_description() -> LaunchDescription:
                 "FASTRTPS_DEFAULT_PROFILES_FILE",
                 EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=profile),
             ),
-            SetEnvironmentVariable("MUJOCO_GL", EnvironmentVariable("MUJOCO_GL", default_value="egl")),
             OpaqueFunction(function=start_nodes),
         ]
     )

@@ -1,10 +1,17 @@
 """The simulated cell in MuJoCo: robot, person, objects and motion-capture cameras.
 
 MuJoCo chooses how to draw when it is imported: without a screen, through EGL, unless the environment says otherwise.
+Told to use EGL on a machine without it, it cannot be imported at all; there the cell runs without pictures.
 """
 
+import ctypes
 import os
 
-os.environ.setdefault("MUJOCO_GL", "egl")
+if "MUJOCO_GL" not in os.environ:
+    try:
+        ctypes.CDLL("libEGL.so.1")
+        os.environ["MUJOCO_GL"] = "egl"
+    except OSError:
+        os.environ["MUJOCO_GL"] = "disabled"
 # Mesa's software renderer takes all cores for each picture, unless told otherwise; the cell's nodes need them.
 os.environ.setdefault("LP_NUM_THREADS", "1")
