@@ -24,8 +24,8 @@ from bootstrap.needs import (
     build_tool_needs,
     compiler_need,
     disk_need,
-    has_egl,
     headers_need,
+    missing_graphics,
     platform_need,
     python_need,
 )
@@ -34,7 +34,7 @@ from bootstrap.shared_memory import SHARED_MEMORY, find_leftovers, remove
 from bootstrap.steps import Setup
 
 SHARED_MEMORY_NEEDED = 0.03  # [GB]; a process of the graph takes 0.6 MB, pictures pass through it
-GL_PACKAGES = "apt-get install libegl1 libgl1-mesa-dri"
+GL_PACKAGES = "apt-get install libegl1 libopengl0 libgl1-mesa-dri"
 
 # Run by the prepared Python: what the cell cannot do without, each with its version.
 IMPORTS = """
@@ -154,10 +154,10 @@ def _imports(setup: Setup) -> list[Need]:
 
 def _rendering(setup: Setup, outstanding: set[str]) -> Need:
     """Pictures are drawn without a screen; the graph runs without them."""
-    if not has_egl():
-        return Need("rendering", False, "no libEGL.so.1; no pictures", GL_PACKAGES)
+    if missing := missing_graphics():
+        return Need("rendering", False, f"no {missing}; the cell runs without pictures", GL_PACKAGES)
     if outstanding & {"venv", "packages"}:
-        return Need("rendering", True, "libEGL.so.1 is there; not tried yet")
+        return Need("rendering", True, "EGL and OpenGL are there; not tried yet")
     answer = _ask(setup, RENDER)
     if "drawn" in answer.stdout:
         return Need("rendering", True, f"MuJoCo draws with MUJOCO_GL={os.environ.get('MUJOCO_GL', 'egl')}")

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bootstrap.layout import Layout
-from bootstrap.needs import has_egl
+from bootstrap.needs import missing_graphics
 from bootstrap.ros import SourcedRos
 
 
@@ -59,7 +59,7 @@ def cell_environment(layout: Layout, ros: SourcedRos | None) -> dict[str, str]:
         environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(layout.source / "config" / "fastdds.xml"))
     if "MUJOCO_GL" not in environment:
         # Without EGL the cell runs all the same, without pictures.
-        environment["MUJOCO_GL"] = "egl" if has_egl() else "disabled"
+        environment["MUJOCO_GL"] = "egl" if not missing_graphics() else "disabled"
     environment.setdefault("NUMBA_CACHE_DIR", str(cache / "numba"))
     return environment
 

@@ -86,10 +86,21 @@ def build_tool_needs() -> list[Need]:
     ]
 
 
-def has_egl() -> bool:
-    """Tell whether pictures can be drawn without a screen; without it MuJoCo must not be told to use EGL."""
+def missing_graphics() -> str:
+    """Return what keeps pictures from being drawn without a screen; empty if nothing does.
+
+    MuJoCo, told to use EGL, cannot even be imported without these libraries.
+    """
+    missing = []
+    for names in (("libEGL.so.1",), ("libOpenGL.so.0", "libGL.so.1")):
+        if not any(_loads(name) for name in names):
+            missing.append(" or ".join(names))
+    return " and ".join(missing)
+
+
+def _loads(library: str) -> bool:
     try:
-        ctypes.CDLL("libEGL.so.1")
+        ctypes.CDLL(library)
     except OSError:
         return False
     return True

@@ -24,8 +24,8 @@ GEOM_GROUPS = (1, 1, 1, 0, 0, 0)
 SITE_GROUPS = (0, 0, 1, 0, 0, 0)
 MAXIMUM_GEOMS = 3000
 NO_GL = (
-    "pictures cannot be drawn: {reason}; install the Debian packages libegl1 and libgl1-mesa-dri "
-    "(apt install libegl1 libgl1-mesa-dri), or set MUJOCO_GL=osmesa or glfw"
+    "pictures cannot be drawn: {reason}; install the Debian packages for it "
+    "(apt install libegl1 libopengl0 libgl1-mesa-dri), or set MUJOCO_GL=osmesa or glfw"
 )
 
 
