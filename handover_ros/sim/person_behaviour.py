@@ -33,8 +33,8 @@ PULL_RISE = 0.5
 PULL_REST = 1.5
 LONGEST_DRAG = 0.12
 RELEASED_FOR = 0.15  # [s] the object must be free before the person moves it
-CLEARED = 0.07  # [m] the gripper must have backed off, or the object would catch between the fingers
-LONGEST_CLEARING = 2.5  # [s] the person waits for that
+CLEARED = 0.25  # [m] the gripper must have moved away: the way to the goal may cross the arm
+LONGEST_CLEARING = 4.0  # [s] the person waits for that
 NEXT_TRY = 1.5
 
 

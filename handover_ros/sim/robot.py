@@ -14,6 +14,7 @@ from handover_ros.robot.model import ArmModel
 from handover_ros.sim.joint_path import JointPath
 from handover_ros.sim.world import World, joint_group
 
+SERVO_SPEED = 0.95  # of the velocity limit, at which a servo catches up
 POSITION_TOLERANCE = 1e-3  # [rad] beyond a limit before it counts
 VELOCITY_TOLERANCE = 0.02  # share of a velocity limit before it counts (the servo's ripple)
 COMMAND_TOLERANCE = 1e-3  # share of a velocity limit that a command may exceed by rounding
@@ -63,6 +64,8 @@ class RobotController:
             name: -model.actuator_biasprm[group.actuators, 2] / model.actuator_gainprm[group.actuators, 0]
             for name, group in world.arms.items()
         }
+        # The target's distance at which the servo comes to rest at SERVO_SPEED of the velocity limit.
+        self._reach = {name: SERVO_SPEED * self._lead[name] * arm.velocity for name, arm in self._arms.items()}
         self._watched = np.concatenate([group.positions for group in world.arms.values()])
         self._watched_speeds = np.concatenate([group.velocities for group in world.arms.values()])
         self._watched_actuators = np.concatenate([group.actuators for group in world.arms.values()])
@@ -77,6 +80,7 @@ class RobotController:
     def reset(self) -> None:
         """Forget all commands and counts: the arms stand at home."""
         self._paths = {name: JointPath.still(0.0, arm.home) for name, arm in self._arms.items()}
+        self._wanted = {name: arm.home.copy() for name, arm in self._arms.items()}
         self._moving = dict.fromkeys(self._arms, True)
         self._counts = LimitCounts()
         self._outside = np.zeros(len(self._watched), dtype=bool)
@@ -151,12 +155,20 @@ class RobotController:
         return self._paths[arm].sample(time)
 
     def update(self, data: mujoco.MjData, time: float) -> None:
-        """Write the servo targets of this instant into ``data.ctrl``."""
+        """Write the servo targets of this instant into ``data.ctrl``.
+
+        As on the real robot, the servos never ask for more than the velocity limit: an arm that was held up catches up
+        at that speed and does not leap.
+        """
         for name, group in self._world.arms.items():
             if self._moving[name]:
                 position, velocity = self._paths[name].sample(time)
-                data.ctrl[group.actuators] = position + self._lead[name] * velocity
+                self._wanted[name] = position + self._lead[name] * velocity
                 self._moving[name] = time < self._paths[name].end
+            present = data.qpos[group.positions]
+            data.ctrl[group.actuators] = present + np.clip(
+                self._wanted[name] - present, -self._reach[name], self._reach[name]
+            )
 
     def watch(self, data: mujoco.MjData) -> None:
         """Count what is beyond the limits after a physics step."""
