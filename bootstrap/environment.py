@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from bootstrap.layout import Layout
@@ -53,15 +53,19 @@ def cell_environment(layout: Layout, ros: SourcedRos | None) -> dict[str, str]:
     environment["VIRTUAL_ENV"] = str(layout.venv)
     environment.pop("PYTHONHOME", None)
 
-    cache = Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "handover_ros"
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "FASTDDS_DEFAULT_PROFILES_FILE" not in environment:
         environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(layout.source / "config" / "fastdds.xml"))
     if "MUJOCO_GL" not in environment:
         # Without EGL the cell runs all the same, without pictures.
         environment["MUJOCO_GL"] = "egl" if not missing_graphics() else "disabled"
-    environment.setdefault("NUMBA_CACHE_DIR", str(cache / "numba"))
+    environment.setdefault("NUMBA_CACHE_DIR", str(cache_directory(environment) / "numba"))
     return environment
+
+
+def cache_directory(environment: Mapping[str, str]) -> Path:
+    """Return the folder of what can be made again, as ``handover_ros.resources`` has it."""
+    return Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "handover_ros"
 
 
 def build_environment(layout: Layout, ros: SourcedRos | None) -> dict[str, str]:

@@ -47,7 +47,7 @@ def needs(setup: Setup, steps: list[PlannedStep]) -> list[Need]:
         wanted += [headers_need()] if setup.ros is None else []
     if names & {"venv", "packages"}:
         wanted.append(disk_need(setup.layout.state, DISK_NEEDED if setup.ros is None else DISK_NEEDED_SOURCED))
-    elif names:
+    elif names - {"caches"}:
         wanted.append(disk_need(setup.layout.state, DISK_NEEDED_BUILD))
     return wanted
 

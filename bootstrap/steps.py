@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bootstrap.cmake_paths import mend_cmake_files
 from bootstrap.console import SetupError, Step
-from bootstrap.environment import build_environment, cell_environment
+from bootstrap.environment import build_environment, cache_directory, cell_environment
 from bootstrap.failures import explain
 from bootstrap.layout import LAYOUT_VERSION, UNFINISHED, Layout, Stamps, digest
 from bootstrap.process import run_logged
@@ -96,6 +96,14 @@ class Setup:
         ]
         return digest([self.venv_stamp(), str(source), *contents, *sorted(names)])
 
+    def caches_stamp(self) -> str:
+        """What is compiled and converted, and where to; a stale cache costs time, nothing else."""
+        source = self.layout.source
+        names = ("robot/kinematics_kernels.py", "robot/description.py", "sim/assets.py", "cell/warm_up.py")
+        contents = [(source / "handover_ros" / name).read_bytes() for name in names]
+        contents += [path.read_bytes() for path in sorted((source / "config" / "robots").glob("*.yaml"))]
+        return digest([self.packages_stamp(), str(cache_directory(os.environ)), *contents])
+
     def outstanding(self) -> list[PlannedStep]:
         """Return the steps that are not up to date, in order."""
         planned = [
@@ -108,6 +116,7 @@ class Setup:
             )
         if not self.provided(PACKAGE, ()):
             planned.append(PlannedStep("package", "Building handover_ros", self.package_stamp(), self.build_package))
+        planned.append(PlannedStep("caches", "Compiling kernels, converting meshes", self.caches_stamp(), self.warm_up))
         stamped = {step.name: self.stamps.get(step.name) for step in planned}
         broken = UNFINISHED in (stamped["venv"], stamped["packages"]) or not self.layout.python.exists()
         if broken or stamped["venv"] != planned[0].stamp:
@@ -196,6 +205,14 @@ class Setup:
     def build_package(self, step: Step) -> None:
         """Install the Python package with links into the source, so that an edit shows at once."""
         self._colcon(step, PACKAGE, ["--symlink-install"])
+
+    def warm_up(self, step: Step) -> None:
+        """Fill the caches, so that the first start of the cell is as quick as the later ones; failing is no harm."""
+        command = [str(self.layout.python), "-m", "handover_ros.cell.warm_up"]
+        try:
+            self._run(step, "caches", command, "filling the caches", cell_environment(self.layout, self.ros))
+        except SetupError as error:
+            step.result = f"left to the first start: {error}"
 
     # Helpers.
 

@@ -151,7 +151,7 @@ def test_unfinished_packages_start_from_an_empty_environment(tmp_path, monkeypat
     setup.stamps.set("packages", "an older lock")
     assert [step.name for step in setup.outstanding()] == ["packages"]
     setup.stamps.set("packages", UNFINISHED)
-    assert [step.name for step in setup.outstanding()] == ["venv", "packages", "messages", "package"]
+    assert [step.name for step in setup.outstanding()] == ["venv", "packages", "messages", "package", "caches"]
 
 
 def test_moved_clone_is_set_up_anew(tmp_path):

@@ -1,0 +1,21 @@
+"""Fills the caches of compiled kernels and converted meshes: ``python -m handover_ros.cell.warm_up``.
+
+Set-up runs it once, so that the first start of the cell is as quick as the later ones.
+"""
+
+from handover_ros.objects.catalogue import load_catalogue
+from handover_ros.objects.scene import load_scene
+from handover_ros.planning.motion import MotionPlanner
+from handover_ros.robot.model import RobotModel
+from handover_ros.sim.simulation import Simulation
+
+
+def warm_up(scene_name: str = "lab") -> None:
+    """Make, and throw away, what the nodes make when they start."""
+    scene = load_scene(scene_name)
+    Simulation(scene)
+    MotionPlanner(RobotModel.load(scene.robot), scene, load_catalogue())
+
+
+if __name__ == "__main__":
+    warm_up()
