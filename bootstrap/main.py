@@ -71,6 +71,8 @@ def _run_tests(setup: Setup, arguments: list[str]) -> int:
     os.chdir(source)
     # Without it a wrong field type in a message passes silently.
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+    # A background job of a script ignores SIGINT, and so would every process that a test starts and interrupts.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     return _replace(setup, ["-m", "pytest", *resolved])
 
 

@@ -143,7 +143,8 @@ def test_every_node_is_an_executable_of_its_own_name():
         assert module is not None, f"setup.py names {node}, which is no module"
         body = ast.parse(Path(module.origin).read_text()).body
         names = {getattr(each, "name", "") for each in body}
-        names |= {target.id for each in body if isinstance(each, ast.Assign) for target in each.targets}
+        assigned = [target for each in body if isinstance(each, ast.Assign) for target in each.targets]
+        names |= {target.id for target in assigned if isinstance(target, ast.Name)}
         assert "main" in names
 
 
