@@ -22,6 +22,7 @@ from handover_msgs.srv import PlanHandover, PlanMotion
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Bool
@@ -44,7 +45,7 @@ from handover_ros.cell.protocol import (
 )
 from handover_ros.cell.safety import Freshness, LivenessMonitor
 from handover_ros.cell.touch import PullDetector
-from handover_ros.errors import ErrorCode, HandoverError
+from handover_ros.errors import ErrorCode, HandoverError, StaleDataError
 from handover_ros.nodes.convert import (
     image_message,
     numpy_array,
@@ -55,7 +56,9 @@ from handover_ros.nodes.convert import (
 )
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import (
+    DISCOVERY_LIMIT,
     LATCHED,
+    POLL_PERIOD,
     SENSOR_CONSUMER,
     SENSOR_PUBLISHER,
     HandoverNode,
@@ -70,6 +73,7 @@ FEEDBACK_PERIOD = 0.2  # [s] of wall time
 STOPPED_TIME = 0.5  # [s] of wall time the robot is told to stop before a way back may move it again
 JUMP_BACK = 0.5  # [s] the clock may go back without being called a jump
 NODE_WAIT = 5.0  # [s] of wall time after the goal in which a node not heard so far may still come up
+HANDS_MATTER = (Phase.PRESENTING, Phase.WAITING, Phase.RELEASING, Phase.RETRACTING)
 BASELINE_SAMPLES = 30  # joint states that settle what "no pull" feels like
 
 PARAMETERS = (
@@ -126,6 +130,7 @@ class ExecutiveNode(HandoverNode):
         self.objects: dict[str, np.ndarray] = {}  # name -> flat pose
         self.hand_markers: list[int] = []
         self.markers: MarkerFrame | None = None
+        self.marker_subscription: Subscription | None = None
         self.run: Run | None = None
         self.numbers = itertools.count(1)
         self.handovers, self.taken = 0, 0
@@ -143,7 +148,6 @@ class ExecutiveNode(HandoverNode):
         self.create_subscription(JointState, "robot/joint_states", self.on_joint_state, SENSOR_CONSUMER)
         self.create_subscription(GripperState, "robot/gripper_state", self.on_gripper_state, SENSOR_CONSUMER)
         self.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
-        self.create_subscription(MarkerFrame, "mocap/markers", self.on_markers, SENSOR_CONSUMER)
         self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
         self.create_subscription(Heartbeat, "cell/heartbeat", self.on_heartbeat, SENSOR_PUBLISHER)
 
@@ -204,6 +208,16 @@ class ExecutiveNode(HandoverNode):
     def on_markers(self, message: MarkerFrame) -> None:
         """Keep the newest marker frame; it is read when needed."""
         self.markers = message
+
+    def watch_hands(self, watch: bool) -> None:
+        """Receive marker frames only while hands matter: at 240 Hz they are most of this node's work."""
+        if watch and self.marker_subscription is None:
+            self.marker_subscription = self.create_subscription(
+                MarkerFrame, "mocap/markers", self.on_markers, SENSOR_CONSUMER
+            )
+        elif not watch and self.marker_subscription is not None:
+            self.destroy_subscription(self.marker_subscription)
+            self.marker_subscription, self.markers = None, None
 
     def on_marker_set(self, message: MarkerSet) -> None:
         """Find the markers on the hands."""
@@ -362,6 +376,7 @@ class ExecutiveNode(HandoverNode):
         changed = protocol.phase is not run.last_phase
         if changed:
             run.last_phase = protocol.phase
+            self.watch_hands(protocol.phase in HANDS_MATTER)
             if protocol.phase is Phase.WAITING:
                 self.pull.reset()
                 self.pulled = False
@@ -386,6 +401,7 @@ class ExecutiveNode(HandoverNode):
                 self.enable(False)
             case Follow(stage):
                 names = self.robot.arm(run.plan.arm).joint_names
+                self.stopped_until = float("-inf")
                 self.enable(True)
                 self.trajectory_publisher.publish(
                     trajectory_message(names, stage.times, stage.positions, stage.velocities)
@@ -416,10 +432,25 @@ class ExecutiveNode(HandoverNode):
             answer = await self.call(self.plan_client, request, run.protocol.settings.plan_limit)
             if not answer.success:
                 raise HandoverError(answer.message, ErrorCode(answer.error_code))
+            await self.until_robot_listens()
             run.plan = answer.plan
             run.protocol.plan_ready(plan_from_message(answer.plan))
         except HandoverError as error:
             run.protocol.plan_failed(error.code, str(error))
+
+    async def until_robot_listens(self) -> None:
+        """Wait until somebody receives the commands: one sent before its receiver was discovered is lost.
+
+        Raises:
+            StaleDataError: Nobody does within a few seconds.
+        """
+        commands = (self.trajectory_publisher, self.gripper_publisher, self.enable_publisher)
+        for _ in range(round(DISCOVERY_LIMIT / POLL_PERIOD)):
+            deaf = [publisher.topic_name for publisher in commands if publisher.get_subscription_count() == 0]
+            if not deaf:
+                return
+            await self.pause(POLL_PERIOD)
+        raise StaleDataError(f"nobody listens to {', '.join(deaf)}: is the robot's driver (sim_node) running?")
 
     async def request_return(self, run: Run, holding: bool) -> None:
         """Ask the planner for the way back and hand it to the protocol."""

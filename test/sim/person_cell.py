@@ -91,6 +91,7 @@ class PersonCell:
         self.held: dict[str, str] = {}
         self.grip_errors: dict[str, tuple[float, float]] = {}
         self.robot_holds = True
+        self._backed_off = 0.0
         self.offered_from = 0.2
         self.events: list[tuple[float, str]] = []
         self._set_weld("robot", True)
@@ -121,8 +122,16 @@ class PersonCell:
             goals={name: self.goal},
         )
 
+    def _back_off(self) -> None:
+        """Move the gripper that let go away, at 0.3 m/s along its own axis, by 0.4 m."""
+        if not self.robot_holds and self._backed_off < 0.4:
+            site = self.model.site("robot/left_gripper").id
+            self.data.mocap_pos[0] -= 0.003 * self.data.site_xmat[site].reshape(3, 3)[:, 2]
+            self._backed_off += 0.003
+
     def step(self) -> None:
         """One update of the person (10 ms) with its five physics steps."""
+        self._back_off()
         before = self.person.phase
         self.person.update(self.data, self.time, self.view())
         if self.person.phase != before:
