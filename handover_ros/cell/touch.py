@@ -24,6 +24,11 @@ class PullDetector:
         self._baseline: list[FloatArray] = []
         self.pull = float("nan")  # [N]
 
+    @property
+    def settled(self) -> bool:
+        """Whether the baseline is known."""
+        return len(self._baseline) >= self.baseline_samples
+
     def reset(self) -> None:
         """Forget the baseline: a new offer."""
         self._baseline = []
@@ -33,7 +38,7 @@ class PullDetector:
         """Take the external force (3,) [N] in world; return whether a pull is felt."""
         if not np.all(np.isfinite(force)):
             return False
-        if len(self._baseline) < self.baseline_samples:
+        if not self.settled:
             self._baseline.append(np.array(force))
             return False
         self.pull = float(np.linalg.norm(force - np.median(self._baseline, axis=0)))

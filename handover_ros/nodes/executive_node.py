@@ -74,6 +74,7 @@ STOPPED_TIME = 0.5  # [s] of wall time the robot is told to stop before a way ba
 JUMP_BACK = 0.5  # [s] the clock may go back without being called a jump
 NODE_WAIT = 5.0  # [s] of wall time after the goal in which a node not heard so far may still come up
 HANDS_MATTER = (Phase.PRESENTING, Phase.WAITING, Phase.RELEASING, Phase.RETRACTING)
+AT_REST = 0.02  # [rad/s] of an arm that stands still
 BASELINE_SAMPLES = 30  # joint states that settle what "no pull" feels like
 
 PARAMETERS = (
@@ -179,18 +180,18 @@ class ExecutiveNode(HandoverNode):
                 columns = [index[name] for name in self.robot.arm(arm).joint_names]
             except KeyError:
                 continue
-            positions = np.array(message.position)[columns]
-            self.joints[arm] = (
-                positions,
-                np.array(message.velocity)[columns],
-                seconds_from_stamp(message.header.stamp),
-            )
-            run = self.run
-            if run and run.protocol.phase is Phase.WAITING and run.plan and run.plan.arm == arm and message.effort:
-                effort = np.array(message.effort)[columns]
-                self.pulled = self.pull.update(self.robot.external_force(arm, positions, effort)) or (
-                    self.pulled and self.pull.pull > 0.5 * self.pull.threshold
-                )
+            positions, velocities = np.array(message.position)[columns], np.array(message.velocity)[columns]
+            self.joints[arm] = (positions, velocities, seconds_from_stamp(message.header.stamp))
+            if (run := self.run) is not None and run.protocol.phase is Phase.WAITING and run.plan.arm == arm:
+                self.feel(arm, positions, velocities, np.array(message.effort)[columns])
+
+    def feel(self, arm: str, positions: np.ndarray, velocities: np.ndarray, effort: np.ndarray) -> None:
+        """Feel for the person's pull at the offered object, once the arm has come to rest."""
+        if not self.pull.settled and np.max(np.abs(velocities)) > AT_REST:
+            self.pull.reset()
+            return
+        felt = self.pull.update(self.robot.external_force(arm, positions, effort))
+        self.pulled = felt or (self.pulled and self.pull.pull > 0.5 * self.pull.threshold)
 
     def on_gripper_state(self, message: GripperState) -> None:
         """Keep the grippers' openings."""

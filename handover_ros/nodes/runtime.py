@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import faulthandler
+import os
 import signal
 import sys
 import threading
@@ -29,6 +31,7 @@ HEARTBEAT_PERIOD = 0.2  # [s] wall time
 DIAGNOSTICS_PERIOD = 1.0  # [s] wall time, REP-107
 DISCOVERY_LIMIT = 5.0  # [s] of wall time a service may take to be discovered
 POLL_PERIOD = 0.1  # [s] of wall time between two looks
+STOP_LIMIT = 4.0  # [s] of wall time a node may take to end; an operator waits five
 EXIT_BAD_INPUT = 2
 EXIT_CRASHED = 1
 
@@ -219,6 +222,13 @@ async def answer(response: Any, work: Coroutine[Any, Any, None], node: Node) -> 
     return response
 
 
+def leave_at_once(name: str) -> None:
+    """End the process although the middleware does not let go; say where every thread stood."""
+    print(f"{name}: did not shut down within {STOP_LIMIT:g} s and leaves at once", file=sys.stderr)
+    faulthandler.dump_traceback(all_threads=True)
+    os._exit(EXIT_CRASHED)
+
+
 def spin_until(executor: SingleThreadedExecutor, stop: threading.Event) -> None:
     """Turn the executor until ``stop`` is set or the context is shut down.
 
@@ -263,14 +273,18 @@ def run_node(factory: Callable[[], HandoverNode], arguments: list[str] | None = 
     while not stop.wait(timeout=0.5):
         # A bounded wait, so that Python gets to run its signal handlers on every platform.
         pass
+    leave = threading.Timer(STOP_LIMIT, leave_at_once, args=[node.get_name()])
+    leave.daemon = True
+    leave.start()
     executor.wake()
-    thread.join(timeout=5.0)
+    thread.join(timeout=STOP_LIMIT / 2.0)
     try:
         node.on_stop()
         node.destroy_node()
         executor.shutdown(timeout_sec=1.0)
     finally:
         rclpy.try_shutdown()
+        leave.cancel()
     if crashed:
         sys.excepthook(type(crashed[0]), crashed[0], crashed[0].__traceback__)
         return EXIT_CRASHED

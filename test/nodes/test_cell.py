@@ -95,8 +95,15 @@ class Cell:
         future = self.graph.on_executor(handle.get_result_async)
         return wait_for(lambda: future.done() and future.result(), limit, "the result").result
 
-    def reached(self, phase: str) -> None:
-        wait_for(lambda: phase in self.feedback, HANDOVER, f"phase {phase}; saw {self.feedback[-1:]}")
+    def reached(self, handle, phase: str) -> None:
+        """Wait for a phase; fail at once when the handover ends before."""
+        future = self.graph.on_executor(handle.get_result_async)
+
+        def there() -> bool:
+            assert not future.done() or phase in self.feedback, future.result().result.message
+            return phase in self.feedback
+
+        wait_for(there, HANDOVER, f"phase {phase}")
 
     def saw(self, kind: str, object_name: str, since: int = 0) -> bool:
         return any(event.kind == kind and event.object_name == object_name for event in self.events[since:])
@@ -182,7 +189,7 @@ def test_a_killed_node_is_reported_the_robot_stops_and_after_a_restart_the_next_
     call = cell.graph.call
     assert call(SetPersonBehaviour, "sim/set_person", SetPersonBehaviour.Request(behaviour="ignore")).success
     handle = cell.send("mug")
-    cell.reached(phase)
+    cell.reached(handle, phase)
     killed = cell.kill(victim)
     if victim != "executive_node":
         result = cell.result(handle, REPORT + SLACK)
@@ -195,7 +202,7 @@ def test_a_killed_node_is_reported_the_robot_stops_and_after_a_restart_the_next_
     assert call(SetPersonBehaviour, "sim/set_person", ignore).success
     handle = cell.send("mug")
     # The robot may hold the mug still, in reach: the person shall take it when it is presented, not before.
-    cell.reached("waiting")
+    cell.reached(handle, "waiting")
     assert call(SetPersonBehaviour, "sim/set_person", SetPersonBehaviour.Request(behaviour="take")).success
     result = cell.result(handle)
     assert result.success, result.message
