@@ -17,7 +17,7 @@ from handover_msgs.msg import HandoverPlan
 from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from handover_ros.cell.protocol import Plan, Stage
+from handover_ros.cell.protocol_types import Plan, Stage
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray, pose_from_transform, transform_from_pose
 

@@ -29,10 +29,10 @@ from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory
 
 from handover_ros.cell.display import text_picture
-from handover_ros.cell.protocol import (
+from handover_ros.cell.protocol import HandoverProtocol
+from handover_ros.cell.protocol_types import (
     Command,
     Follow,
-    HandoverProtocol,
     MoveGripper,
     Observation,
     Phase,

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_ros.cell.protocol import (
+from handover_ros.cell.protocol import HandoverProtocol
+from handover_ros.cell.protocol_types import (
     Follow,
-    HandoverProtocol,
     MoveGripper,
     Observation,
     Phase,
