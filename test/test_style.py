@@ -7,9 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from packaging.version import Version
 
-NUMPY_WITH_OUR_HINTS = Version("2.4")
+NUMPY_CHECKED_WITH = "2.4."  # every NumPy hints its arrays a little otherwise; this is the one for Python 3.11
 SOURCE = Path(__file__).resolve().parent.parent
 
 
@@ -25,7 +24,7 @@ SOURCE = Path(__file__).resolve().parent.parent
 def test_tool_finds_nothing(tool, arguments):
     if importlib.util.find_spec(tool) is None:
         pytest.skip(f"{tool} is not installed")
-    if tool == "mypy" and Version(version("numpy")) < NUMPY_WITH_OUR_HINTS:
+    if tool == "mypy" and not version("numpy").startswith(NUMPY_CHECKED_WITH):
         pytest.skip(f"NumPy {version('numpy')} hints its arrays otherwise")
     command = [sys.executable, "-m", tool, *arguments]
     answer = subprocess.run(command, cwd=SOURCE, capture_output=True, text=True, timeout=600, check=False)
