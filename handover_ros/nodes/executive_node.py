@@ -402,8 +402,6 @@ class ExecutiveNode(HandoverNode):
                 self.enable(False)
             case Follow(stage):
                 names = self.robot.arm(run.plan.arm).joint_names
-                self.stopped_until = float("-inf")
-                self.enable(True)
                 self.trajectory_publisher.publish(
                     trajectory_message(names, stage.times, stage.positions, stage.velocities)
                 )
@@ -434,6 +432,7 @@ class ExecutiveNode(HandoverNode):
             if not answer.success:
                 raise HandoverError(answer.message, ErrorCode(answer.error_code))
             await self.until_robot_listens()
+            await self.until_robot_is_enabled()
             run.plan = answer.plan
             run.protocol.plan_ready(plan_from_message(answer.plan))
         except HandoverError as error:
@@ -453,15 +452,24 @@ class ExecutiveNode(HandoverNode):
             await self.pause(POLL_PERIOD)
         raise StaleDataError(f"nobody listens to {', '.join(deaf)}: is the robot's driver (sim_node) running?")
 
+    async def until_robot_is_enabled(self) -> None:
+        """Let the robot hear that it may move before a motion reaches it: topics keep no order among them."""
+        self.stopped_until = float("-inf")
+        self.enable(True)
+        await self.pause(2.0 * ENABLE_PERIOD)
+
     async def request_return(self, run: Run, holding: bool) -> None:
         """Ask the planner for the way back and hand it to the protocol."""
         request = PlanMotion.Request(arm=run.plan.arm, posture="put_back" if holding else "home")
         if holding:
             request.held_object = run.protocol.object_name
+        # Planned from where the arm has come to rest.
+        await self.pause(STOPPED_TIME)
         try:
             answer = await self.call(self.motion_client, request, run.protocol.settings.plan_limit)
             if not answer.success:
                 raise HandoverError(answer.message, ErrorCode(answer.error_code))
+            await self.until_robot_is_enabled()
             opening = self.robot.arm(run.plan.arm).opening[1] if holding else float("nan")
             run.protocol.return_ready((stage_from_message(request.posture, answer.trajectory, opening),))
         except HandoverError as error:

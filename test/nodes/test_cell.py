@@ -60,6 +60,7 @@ class Cell:
     def start(self, *nodes: str) -> None:
         """Start nodes and wait until they are ready."""
         began = time.monotonic()
+        self.skeletons.clear()
         for node in nodes:
             parameter_file = REPOSITORY / "config" / f"{node}.yaml"
             parameters = self.own.get(node, {"use_sim_time": True})
