@@ -248,7 +248,8 @@ class ExecutiveNode(HandoverNode):
             return f"lost {', '.join(gone)}: no heartbeat for {self.liveness.lost_after:g} s", ErrorCode.NODE_LOST
         if run.awaited and wall - run.began > NODE_WAIT:
             return f"not running: {', '.join(sorted(run.awaited))}; start it and try again", ErrorCode.NODE_LOST
-        if not run.awaited and (problem := self.robot_state.problem(wall)):
+        fresh_start = run.protocol.phase is Phase.PLANNING and wall - run.began <= NODE_WAIT
+        if not fresh_start and (problem := self.robot_state.problem(wall)):
             return problem, ErrorCode.STALE_DATA
         if now < self.last_time - JUMP_BACK:
             return f"the clock jumped back by {self.last_time - now:.1f} s", ErrorCode.STALE_DATA

@@ -18,7 +18,16 @@ from handover_ros.geometry import FloatArray, rotation_angle, transform_from_pos
 from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
 from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
 from handover_ros.nodes.parameters import ParameterSpec
-from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, Worker, answer, main_of, monotonic
+from handover_ros.nodes.runtime import (
+    LATCHED,
+    POLL_PERIOD,
+    SENSOR_CONSUMER,
+    HandoverNode,
+    Worker,
+    answer,
+    main_of,
+    monotonic,
+)
 from handover_ros.objects import load_catalogue, load_scene
 from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, PlannerSettings, load_schemes
 from handover_ros.planning.types import OutdatedSnapshotError
@@ -26,6 +35,7 @@ from handover_ros.robot import RobotModel, Trajectory
 from handover_ros.skeleton.stillness import Stillness
 
 MOVED_DISTANCE, MOVED_ANGLE = 0.08, 0.17  # [m], [rad] of the torso that make a plan be made anew
+FIRST_DATA = 2.0  # [s] of wall time the first samples may take to come in
 STILL_POLL = 0.05  # [s] of wall time between two looks whether the person stands still
 PUT_BACK = "put_back"  # PlanMotion.posture: bring the held object back to where it was planned to be taken from
 DEFAULTS = PlannerSettings()
@@ -183,6 +193,7 @@ class PlannerNode(HandoverNode):
             time_budget=request.time_budget,
             world_from_goal=goal_of(request.goal) if request.has_goal else None,
         )
+        await self.until_first_data()
         give_up = self.seconds_now() + self.parameters["still_wait"]
         try:
             while True:
@@ -208,6 +219,13 @@ class PlannerNode(HandoverNode):
         self.plan_publisher.publish(response.plan)
         model = self.planner.motion.object_model(plan.object_name)
         self.visual_publisher.publish(plan_visual(plan, model, snapshot.world_from_torso, stamp))
+
+    async def until_first_data(self) -> None:
+        """Give a node that just started a moment to hear of the robot and the person."""
+        for _ in range(round(FIRST_DATA / POLL_PERIOD)):
+            if self.torso is not None and self.objects and len(self.joints) == len(self.robot.arm_names):
+                return
+            await self.pause(POLL_PERIOD)
 
     async def until_person_is_still(self, give_up: float) -> None:
         """Let a person who moves come to rest before planning for where they stand, until ``give_up`` [s] at most."""
@@ -241,6 +259,7 @@ class PlannerNode(HandoverNode):
 
     async def fill_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> None:
         """Plan in the worker thread and fill the response."""
+        await self.until_first_data()
         try:
             trajectory = await self.worker.submit(self.work_on_motion, request)
         except Exception as error:
