@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from handover_ros.cell.processes import NODES
 from handover_ros.errors import HandoverError, UnknownNameError
 from handover_ros.resources import config_directory
 
@@ -23,8 +24,6 @@ EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 # Newer typers carry a click of their own: this is the one in use.
 USAGE_ERROR: Any = typer.BadParameter.__base__
-
-NODES = ("sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node")
 
 app = typer.Typer(
     name="handover",

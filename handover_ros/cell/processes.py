@@ -16,6 +16,9 @@ from typing import IO
 
 from handover_ros.errors import BadRequestError
 
+#: The nodes of the whole cell, in the order in which they are started.
+NODES = ("sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node")
+
 PR_SET_PDEATHSIG = 1  # prctl(2): which signal a process gets when its parent dies
 #: Grace [s] after each signal; together below the five seconds an operator waits after Ctrl-C.
 STOP_SEQUENCE = ((signal.SIGINT, 2.5), (signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))

@@ -17,7 +17,7 @@ from handover_msgs.srv import ResetSimulation
 from rich.console import Console
 from rich.table import Table
 
-from handover_ros.cell.processes import CellProcesses, NodeLaunch
+from handover_ros.cell.processes import NODES, CellProcesses, NodeLaunch
 from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, phase_table, write_json
 from handover_ros.errors import BadRecordingError, BadRequestError, HandoverError, UnknownNameError
 from handover_ros.mocap.marker_sets import matching_marker_set
@@ -159,7 +159,7 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
     objects = checked_objects(request)
     mocap = recording_parameters(request) if request.recording is not None else {}
     folder = output_folder(request.out, "demo")
-    plan = launches(NODES_OF_DEMO, request.person, request.robot, request.scene, request.seed, request.speed, folder)
+    plan = launches(NODES, request.person, request.robot, request.scene, request.seed, request.speed, folder)
     if mocap:
         plan["mocap_node"] = NodeLaunch(
             "mocap_node", {**plan["mocap_node"].parameters, **mocap}, plan["mocap_node"].parameter_file
@@ -192,9 +192,6 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
     )
     report(request, console, folder, records, metrics, files, ok)
     return 0 if ok else EXIT_FAILED
-
-
-NODES_OF_DEMO = ("sim_node", "mocap_node", "skeleton_node", "planner_node", "executive_node")
 
 
 def hand_over_all(
