@@ -1,1 +1,1 @@
-"""The person's skeleton; so far the torso, as a rigid body that carries markers."""
+"""A person's skeleton: kinematic tree, calibration from marker frames, tracking."""
