@@ -130,47 +130,6 @@ def segment_poses(tree, coordinates):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def tangent_columns(tree, j, rotation, translation, q, x, out):
-    """Fill ``out`` (6, 3) with d(point)/d(tangents of joint j) of a world point x (3,) that joint j moves.
-
-    Row k is the derivative with respect to the joint's k-th tangent: the adjoint column of the dissertation's D_theta.
-    """
-    p = tree.parent[j] + 1
-    kind = tree.kind[j]
-    if kind == PRISMATIC or kind == REVOLUTE:
-        wx = wy = wz = 0.0
-        for c in range(3):
-            wx += rotation[p, 0, c] * tree.axis[j, c]
-            wy += rotation[p, 1, c] * tree.axis[j, c]
-            wz += rotation[p, 2, c] * tree.axis[j, c]
-        if kind == PRISMATIC:
-            out[0, 0], out[0, 1], out[0, 2] = wx, wy, wz
-            return
-    if kind == FREE:
-        start = tree.coordinate[j]
-        for k in range(3):
-            for r in range(3):
-                out[k, r] = 1.0 if k == r else 0.0
-        dx, dy, dz = x[0] - q[start], x[1] - q[start + 1], x[2] - q[start + 2]
-        out[3, 0], out[3, 1], out[3, 2] = 0.0, -dz, dy
-        out[4, 0], out[4, 1], out[4, 2] = dz, 0.0, -dx
-        out[5, 0], out[5, 1], out[5, 2] = -dy, dx, 0.0
-        return
-    cx, cy, cz = translation[p, 0], translation[p, 1], translation[p, 2]
-    for c in range(3):
-        cx += rotation[p, 0, c] * tree.point[j, c]
-        cy += rotation[p, 1, c] * tree.point[j, c]
-        cz += rotation[p, 2, c] * tree.point[j, c]
-    dx, dy, dz = x[0] - cx, x[1] - cy, x[2] - cz
-    if kind == REVOLUTE:
-        out[0, 0], out[0, 1], out[0, 2] = wy * dz - wz * dy, wz * dx - wx * dz, wx * dy - wy * dx
-        return
-    for k in range(3):
-        ex, ey, ez = rotation[p, 0, k], rotation[p, 1, k], rotation[p, 2, k]
-        out[k, 0], out[k, 1], out[k, 2] = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def turn_quaternion(q, start, x, y, z):
     """Turn q[start:start + 4] by the rotation vector (x, y, z) [rad] from the left, and normalise it."""
     angle = math.sqrt(x * x + y * y + z * z)

@@ -1,0 +1,460 @@
+"""A first guess of a skeleton from marker frames, with no prior lengths, axes or angles: joint by joint from the root out.
+
+The root's pose follows from its own markers. Then, for each segment that carries markers, the joints between it and the
+nearest segment already placed are fitted alone, in the frame of that segment: few unknowns, so that many starting axes
+can be tried, spread evenly over all directions; the best fit is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_ros.geometry import FloatArray
+from handover_ros.skeleton.kernels import segment_poses
+from handover_ros.skeleton.layout import parameter_layout
+from handover_ros.skeleton.postures import solve_postures
+from handover_ros.skeleton.prediction_error import Fit, FitSettings, minimise
+from handover_ros.skeleton.rigid_fit import kabsch
+from handover_ros.skeleton.torso_template import procrustes_mean
+from handover_ros.skeleton.tree import COORDINATES, TANGENTS, FlatTree, IntArray, JointKind
+
+TRIAL_FRAMES = 48
+TRIAL_ITERATIONS = 15
+SEEDS = 16
+GOOD_ENOUGH = 1.6  # times the noise that remains when the segment may move freely: no better axes to be found
+RIVAL = 1.1  # a second minimum whose noise is at most this much larger is kept as a rival
+NOISE_FLOOR = 3e-4  # [m] below it nothing is worth another try
+CENTRE_PULL = 0.02  # [m] markers that hardly move pull the centre of rotation no farther than this
+
+
+@dataclass(frozen=True, eq=False)
+class InitialGuess:
+    """Where minimisation starts.
+
+    Attributes:
+        tree: Axes, points and markers.
+        coordinates: Posture of each frame, shape (frames, nq).
+        seeds: Number of starting axes tried, by the last joint of each group.
+        rivals: Other fits of a group that explain its markers almost as well.
+    """
+
+    tree: FlatTree
+    coordinates: FloatArray
+    seeds: dict[int, int]
+    rivals: tuple[tuple[Group, GroupFit], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The joints between a segment that carries markers and the nearest placed one.
+
+    Attributes:
+        joints: Their indices, from the root out.
+        base: Joint that carries the placed segment, -1: the world.
+        markers: Indices of the markers on the segment.
+    """
+
+    joints: tuple[int, ...]
+    base: int
+    markers: IntArray
+
+
+def groups_of(tree: FlatTree) -> list[Group]:
+    """Return the groups of a tree in the order in which they can be fitted; a free root is none of them."""
+    placed = {-1} | {j for j, kind in enumerate(tree.kind) if kind == JointKind.FREE}
+    groups = []
+    for j in range(len(tree.kind)):
+        markers = np.flatnonzero(tree.marker_joint == j)
+        if j in placed or not len(markers):
+            continue
+        chain, at = [], j
+        while at not in placed:
+            chain.append(at)
+            at = int(tree.parent[at])
+        groups.append(Group(tuple(reversed(chain)), at, markers))
+        placed |= set(chain)
+    return groups
+
+
+def first_guess(
+    tree: FlatTree,
+    observed: FloatArray,
+    reference: int,
+    meets: dict[int, int],
+    world_from_zero: FloatArray | None = None,
+    seed: int = 0,
+) -> InitialGuess:
+    """Return a first guess; the posture of frame ``reference`` becomes the zero posture.
+
+    Args:
+        tree: The tree; its axes, points and markers are not used, except the axes of ball joints.
+        observed: Markers [m], shape (frames, m, 3), NaN = not measured.
+        reference: The frame whose posture is zero.
+        meets: Joint whose axis goes through the point of another, by index.
+        world_from_zero: The zero frame in the world at frame ``reference`` (4, 4); None: the world's axes at the middle
+            of the root's markers.
+        seed: Of the starting axes.
+    """
+    rng = np.random.default_rng(seed)
+    joints, frames = len(tree.kind), len(observed)
+    axis, point, marker = tree.axis.copy(), np.zeros((joints, 3)), np.zeros((len(tree.marker_joint), 3))
+    coordinates = np.zeros((frames, int(sum(COORDINATES[JointKind(kind)] for kind in tree.kind))))
+    poses = np.tile(np.eye(4), (joints + 1, frames, 1, 1))
+    if joints and tree.kind[0] == JointKind.FREE:
+        own = np.flatnonzero(tree.marker_joint == 0)
+        poses[1], marker[own] = rigid_motion(observed[:, own], reference, world_from_zero)
+        coordinates[:, :3] = poses[1, :, :3, 3]
+        coordinates[:, 3:7] = Rotation.from_matrix(poses[1, :, :3, :3]).as_quat()
+    world = np.flatnonzero(tree.marker_joint == -1)
+    if len(world):
+        marker[world] = np.nan_to_num(np.nanmedian(observed[:, world], axis=0))
+    noise = NOISE_FLOOR
+    if joints and tree.kind[0] == JointKind.FREE:
+        noise = max(noise, free_motion_sigma(observed[:, own], marker[own]))
+    tried, rivals = {}, []
+    for group in groups_of(tree):
+        base_markers = np.flatnonzero((tree.marker_joint == group.base) & (group.base >= 0))
+        base = poses[group.base + 1]
+        pair = Pair(marker[base_markers], observed[:, base_markers], base, observed[:, group.markers], noise)
+        fits, tried[group.joints[-1]] = fit_group(tree, group, pair, reference, meets, rng)
+        rivals += [(group, fit) for fit in fits[1:]]
+        place_group(tree, group, fits[0], axis, point, marker, coordinates)
+        motion = segment_poses(fits[0].tree, fits[0].coordinates)
+        for index, j in enumerate(group.joints):
+            poses[j + 1] = base @ motion[:, index]
+    for j, kind in enumerate(tree.kind):
+        # Joints beyond the last marker stay at zero.
+        if kind == JointKind.BALL and not coordinates[:, tree.coordinate[j] : tree.coordinate[j] + 4].any():
+            coordinates[:, tree.coordinate[j] + 3] = 1.0
+    return InitialGuess(tree._replace(axis=axis, point=point, marker=marker), coordinates, tried, tuple(rivals))
+
+
+def place_group(
+    tree: FlatTree,
+    group: Group,
+    fit: GroupFit,
+    axis: FloatArray,
+    point: FloatArray,
+    marker: FloatArray,
+    coordinates: FloatArray,
+) -> None:
+    """Write a group's fit into the arrays of the whole tree, in place."""
+    for index, j in enumerate(group.joints):
+        axis[j], point[j] = fit.tree.axis[index], fit.tree.point[index]
+        size = COORDINATES[JointKind(tree.kind[j])]
+        start, own = tree.coordinate[j], fit.tree.coordinate[index]
+        coordinates[:, start : start + size] = fit.coordinates[:, own : own + size]
+    marker[group.markers] = fit.tree.marker
+
+
+def rigid_motion(
+    observed: FloatArray, reference: int, world_from_zero: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return (world_from_zero poses (frames, 4, 4), marker positions (m, 3)) of a rigid set of markers.
+
+    Frames with fewer than three markers take the pose of the frame beside them.
+
+    Args:
+        observed: Markers [m], shape (frames, m, 3), NaN = not measured.
+        reference: Frame in which the zero frame is ``world_from_zero``.
+        world_from_zero: See ``first_guess``.
+    """
+    weights = np.ones(observed.shape[1])
+    shape = procrustes_mean(observed[np.linspace(0, len(observed) - 1, min(60, len(observed))).astype(int)], weights)
+    known = np.isfinite(shape[:, 0])
+    poses = np.full((len(observed), 4, 4), np.nan)
+    for k, positions in enumerate(observed):
+        common = known & np.isfinite(positions[:, 0])
+        if common.sum() >= 3:
+            rotation, translation, _ = kabsch(shape[common], positions[common], weights[common])
+            poses[k] = np.eye(4)
+            poses[k, :3, :3], poses[k, :3, 3] = rotation, translation
+    fill_from_neighbours(poses)
+    world_from_shape = poses[reference]
+    if world_from_zero is None:
+        world_from_zero = np.eye(4)
+        world_from_zero[:3, 3] = (world_from_shape[:3, :3] @ np.nanmean(shape, axis=0)) + world_from_shape[:3, 3]
+    shape_from_zero = np.linalg.inv(world_from_shape) @ world_from_zero
+    markers = (shape - shape_from_zero[:3, 3]) @ shape_from_zero[:3, :3]
+    return poses @ shape_from_zero, np.nan_to_num(markers)
+
+
+def fill_from_neighbours(poses: FloatArray) -> None:
+    """Replace unknown poses (frames, 4, 4) by the nearest known one, in place."""
+    known = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
+    for k in np.flatnonzero(~np.isfinite(poses[:, 0, 0])):
+        poses[k] = poses[known[np.argmin(np.abs(known - k))]] if len(known) else np.eye(4)
+
+
+@dataclass(frozen=True, eq=False)
+class GroupFit:
+    """A fitted group.
+
+    Attributes:
+        tree: Its joints alone, hanging on the world.
+        coordinates: Their postures, shape (frames, their nq).
+        sigma: Standard deviation [m] of a marker coordinate about the fit.
+    """
+
+    tree: FlatTree
+    coordinates: FloatArray
+    sigma: float
+
+
+def fit_group(
+    tree: FlatTree,
+    group: Group,
+    pair: Pair,
+    reference: int,
+    meets: dict[int, int],
+    rng: np.random.Generator,
+) -> tuple[list[GroupFit], int]:
+    """Return the best fits of a group's joints, the best first, and the number of starting axes tried.
+
+    A second fit is returned where another minimum explains the markers almost as well.
+
+    Args:
+        tree: The whole tree.
+        group: The joints.
+        pair: What is known of the segment the group hangs on, and its markers and the group's.
+        reference: The frame whose posture is zero.
+        meets: As in ``first_guess``.
+        rng: Of the starting axes.
+    """
+    kinds = [JointKind(tree.kind[j]) for j in group.joints]
+    local_meets = {
+        group.joints.index(a): group.joints.index(b)
+        for a, b in meets.items()
+        if a in group.joints and b in group.joints
+    }
+    markers = nearest_seen(pair.seen, reference)
+    blank = serial_tree(kinds, tree.axis[list(group.joints)], centre_of_rotation(pair.seen), markers)
+    turning = [index for index, kind in enumerate(kinds) if kind != JointKind.BALL]
+    few = spread(np.flatnonzero(np.isfinite(pair.seen[:, :, 0]).any(axis=1)), reference, TRIAL_FRAMES)
+    trial = PairProblem(pair, few, list(few).index(reference), local_meets)
+    seeds = starting_axes(pair.seen[few], markers, len(turning), rng)
+    good = GOOD_ENOUGH * max(pair.noise, free_motion_sigma(pair.seen[few], markers), NOISE_FLOOR)
+    found: list[tuple[float, FlatTree, FloatArray]] = []
+    tried = 0
+    for axes in seeds:
+        tried += 1
+        guess = blank.axis.copy()
+        guess[turning] = axes
+        found.append(trial.fit(blank._replace(axis=guess)))
+        if found[-1][0] < good:
+            break
+    found.sort(key=lambda each: each[0])
+    if len(turning) == 2:
+        # The two axes may have been found in the wrong order: it fits a little worse, and no small step leads out.
+        swapped = found[0][1].axis.copy()
+        swapped[turning] = swapped[turning[::-1]]
+        tried += 1
+        found.insert(1, trial.fit(found[0][1]._replace(axis=swapped)))
+        found[:2] = sorted(found[:2], key=lambda each: each[0])
+    rivals = [each for each in found[1:2] if each[0] < RIVAL * found[0][0]]
+    fits = []
+    for sigma, own, q in [found[0], *rivals]:
+        every, _ = solve_postures(own, q[trial.reference], pair.seen, start=reference)
+        fits.append(GroupFit(own, every, sigma))
+    return fits, tried
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two segments that carry markers, one placed, the other to be.
+
+    Attributes:
+        base_markers: Positions of the placed segment's markers in the zero frame [m], shape (b, 3).
+        base_observed: Their measured positions in the world [m], shape (frames, b, 3); b may be 0.
+        base_poses: world_from_zero of the placed segment, shape (frames, 4, 4).
+        observed: The other segment's markers in the world [m], shape (frames, k, 3).
+        noise: Standard deviation [m] of a marker coordinate, as far as known.
+    """
+
+    base_markers: FloatArray
+    base_observed: FloatArray
+    base_poses: FloatArray
+    observed: FloatArray
+    noise: float
+
+    @property
+    def seen(self) -> FloatArray:
+        """The other segment's markers in the zero frame moved with the placed one [m], shape (frames, k, 3)."""
+        shifted = self.observed - self.base_poses[:, None, :3, 3]
+        return np.asarray(np.einsum("fba,fmb->fma", self.base_poses[:, :3, :3], shifted))
+
+
+class PairProblem:
+    """Fits a group's joints together with the pose of the segment they hang on, in some frames.
+
+    The placed segment's pose is only as certain as its markers make it; fitted alone, its error would pass for motion
+    of the joints.
+
+    Args:
+        pair: The two segments.
+        frames: Frame numbers.
+        reference: Index among them of the zero posture.
+        meets: Joint of the group whose axis goes through another's point.
+    """
+
+    def __init__(self, pair: Pair, frames: npt.NDArray[np.intp], reference: int, meets: dict[int, int]) -> None:
+        self.reference = reference
+        self._seen = pair.seen[frames]
+        self._poses = pair.base_poses[frames]
+        self._base_markers = pair.base_markers
+        self._free = len(pair.base_markers) >= 3
+        self._observed = np.concatenate([pair.base_observed[frames], pair.observed[frames]], axis=1)
+        self._meets = meets
+
+    def fit(self, group: FlatTree) -> tuple[float, FlatTree, FloatArray]:
+        """Return (sigma [m], the group's tree, its postures) after a short minimisation from a group's tree."""
+        zero = zero_coordinates(group)
+        q, _ = solve_postures(group, zero, self._seen, start=self.reference, iterations=6)
+        q[self.reference] = zero
+        settings = FitSettings(iterations=TRIAL_ITERATIONS)
+        if not self._free:
+            layout = parameter_layout(group, self._meets)
+            fit = minimise(group, layout, q, self._seen, settings, frozen=self.reference)
+            return sigma_of(fit, self._seen, layout.count, len(group.kind)), fit.tree, fit.coordinates
+        base = np.concatenate([self._poses[:, :3, 3], Rotation.from_matrix(self._poses[:, :3, :3]).as_quat()], axis=1)
+        whole = on_free_base(group, self._base_markers)
+        layout = parameter_layout(whole, {a + 1: b + 1 for a, b in self._meets.items()}, held=len(self._base_markers))
+        fit = minimise(whole, layout, np.hstack([base, q]), self._observed, settings, frozen=-1)
+        own = group._replace(
+            axis=fit.tree.axis[1:], point=fit.tree.point[1:], marker=fit.tree.marker[len(self._base_markers) :]
+        )
+        tangents = 6 + len(group.kind)
+        return sigma_of(fit, self._observed, layout.count, tangents), own, fit.coordinates[:, 7:]
+
+
+def sigma_of(fit: Fit, observed: FloatArray, parameters: int, tangents: int) -> float:
+    """Return the standard deviation [m] of a marker coordinate about a fit, freedom taken into account."""
+    numbers = 3 * int(np.isfinite(observed[:, :, 0]).sum())
+    freedom = max(numbers - parameters - tangents * len(observed), 0.1 * numbers, 1.0)
+    return float(np.sqrt(fit.loss / freedom))
+
+
+def serial_tree(kinds: list[JointKind], axes: FloatArray, centre: FloatArray, markers: FloatArray) -> FlatTree:
+    """Return joints in series through one point, hanging on the world, the last one carrying markers (k, 3)."""
+    number = len(kinds)
+    return FlatTree(
+        kind=np.array(kinds, dtype=np.int64),
+        parent=np.arange(-1, number - 1),
+        axis=np.array(axes, dtype=float),
+        point=np.tile(centre, (number, 1)),
+        coordinate=np.cumsum([0, *(COORDINATES[kind] for kind in kinds)], dtype=np.int64)[:-1],
+        tangent=np.cumsum([0, *(TANGENTS[kind] for kind in kinds)], dtype=np.int64)[:-1],
+        marker_joint=np.full(len(markers), number - 1, dtype=np.int64),
+        marker=markers,
+    )
+
+
+def on_free_base(group: FlatTree, base_markers: FloatArray) -> FlatTree:
+    """Return a serial tree hung on a free segment that carries markers (b, 3); those come first."""
+    return FlatTree(
+        kind=np.concatenate([[int(JointKind.FREE)], group.kind]),
+        parent=np.concatenate([[-1], group.parent + 1]),
+        axis=np.vstack([np.zeros(3), group.axis]),
+        point=np.vstack([np.zeros(3), group.point]),
+        coordinate=np.concatenate([[0], group.coordinate + COORDINATES[JointKind.FREE]]),
+        tangent=np.concatenate([[0], group.tangent + TANGENTS[JointKind.FREE]]),
+        marker_joint=np.concatenate([np.zeros(len(base_markers), dtype=np.int64), group.marker_joint + 1]),
+        marker=np.vstack([base_markers, group.marker]),
+    )
+
+
+def zero_coordinates(tree: FlatTree) -> FloatArray:
+    """Return the coordinates (nq,) of the zero posture."""
+    size = int(sum(COORDINATES[JointKind(kind)] for kind in tree.kind))
+    zero = np.zeros(size)
+    for kind, start in zip(tree.kind, tree.coordinate):
+        if kind == JointKind.BALL:
+            zero[start + 3] = 1.0
+        elif kind == JointKind.FREE:
+            zero[start + 6] = 1.0
+    return zero
+
+
+def starting_axes(seen: FloatArray, markers: FloatArray, count: int, rng: np.random.Generator) -> list[FloatArray]:
+    """Return starting directions (each (count, 3)) of the axes of a group: first what the motion suggests, then any.
+
+    The main directions of the segment's rotation vectors are a good guess when its joints were moved one at a time.
+    """
+    if count == 0:
+        return [np.zeros((0, 3))]
+    seeds = []
+    if (vectors := rotation_vectors(seen, markers)) is not None:
+        _, _, directions = np.linalg.svd(vectors, full_matrices=True)
+        for order in ([0, 1, 2], [1, 0, 2], [0, 2, 1], [2, 0, 1]):
+            seeds.append(np.resize(directions[order], (count, 3)))
+    while len(seeds) < SEEDS:
+        axes = rng.normal(size=(count, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        if count == 1 or np.abs(axes @ axes.T - np.eye(count)).max() < 0.8:
+            seeds.append(axes)
+    return seeds
+
+
+def rotation_vectors(seen: FloatArray, markers: FloatArray) -> FloatArray | None:
+    """Return the rotation vectors (k, 3) [rad] of a segment from its zero posture; None with fewer than three markers."""
+    vectors = []
+    for positions in seen:
+        visible = np.isfinite(positions[:, 0])
+        if visible.sum() >= 3:
+            rotation, _, _ = kabsch(markers[visible], positions[visible], np.ones(int(visible.sum())))
+            vectors.append(Rotation.from_matrix(rotation).as_rotvec())
+    return np.array(vectors) if len(vectors) >= 3 else None
+
+
+def free_motion_sigma(seen: FloatArray, markers: FloatArray) -> float:
+    """Return the standard deviation [m] of a coordinate when the segment moves freely; 0 with less than three markers."""
+    squared, count = 0.0, 0
+    for positions in seen:
+        visible = np.isfinite(positions[:, 0])
+        number = int(visible.sum())
+        if number >= 3:
+            rotation, translation, _ = kabsch(markers[visible], positions[visible], np.ones(number))
+            squared += float(np.sum((markers[visible] @ rotation.T + translation - positions[visible]) ** 2))
+            count += 3 * number - 6
+    return float(np.sqrt(squared / count)) if count else 0.0
+
+
+def nearest_seen(seen: FloatArray, reference: int) -> FloatArray:
+    """Return each marker's position (k, 3) [m] in the frame nearest to ``reference`` that shows it."""
+    result = np.zeros(seen.shape[1:])
+    for i in range(seen.shape[1]):
+        frames = np.flatnonzero(np.isfinite(seen[:, i, 0]))
+        if len(frames):
+            result[i] = seen[frames[np.argmin(np.abs(frames - reference))], i]
+    return result
+
+
+def centre_of_rotation(seen: FloatArray) -> FloatArray:
+    """Return the point (3,) [m] from which every marker keeps its distance best (a sphere for each marker).
+
+    Linear least squares of |y|^2 - 2 y c + s_i = 0; directions in which the markers hardly curve are held at their mean.
+    """
+    visible = np.isfinite(seen[:, :, 0])
+    mean = np.nanmean(seen.reshape(-1, 3), axis=0) if visible.any() else np.zeros(3)
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    samples = 0
+    for i in range(seen.shape[1]):
+        y = seen[visible[:, i], i] - mean
+        if len(y) < 4:
+            continue
+        squared = (y**2).sum(axis=1)
+        y_centred, squared_centred = y - y.mean(axis=0), squared - squared.mean()
+        normal += 4.0 * y_centred.T @ y_centred
+        right += 2.0 * y_centred.T @ squared_centred
+        samples += len(y)
+    return np.asarray(mean + np.linalg.solve(normal + (4.0 * samples * 1e-6 + 1e-12) * np.eye(3), right))
+
+
+def spread(usable: npt.NDArray[np.intp], reference: int, count: int) -> npt.NDArray[np.intp]:
+    """Return at most ``count`` frame numbers spread evenly over ``usable``, with ``reference`` among them, in order."""
+    picked = usable[np.linspace(0, len(usable) - 1, min(count, len(usable))).astype(int)] if len(usable) else usable
+    return np.unique(np.append(picked, reference))

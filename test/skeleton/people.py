@@ -1,0 +1,132 @@
+"""Synthetic people: random limbs, axes and limits, and the markers of their calibration motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from handover_ros.skeleton.kernels import forward
+from handover_ros.skeleton.templates import blank_skeleton, load_template
+from handover_ros.skeleton.tree import JointKind, Skeleton
+
+ARM_LIMITS = np.array([[-0.8, 2.6], [-0.4, 1.9], [-1.0, 1.2], [-0.15, 2.3], [-1.3, 1.2], [-1.1, 1.1], [-0.5, 0.4]])
+SEGMENTS = (
+    *["torso"] * 8,
+    *["right_upper_arm"] * 3,
+    *["right_forearm"] * 3,
+    *["right_hand"] * 2,
+    *["left_upper_arm"] * 3,
+    *["left_forearm"] * 3,
+    *["left_hand"] * 2,
+)
+NAMES = (
+    *(f"{group}{i}" for group in ("CHEST", "BACK") for i in range(1, 5)),
+    *(f"{group}{i}" for group in ("RARM", "LARM") for i in range(1, 9)),
+)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a motion-capture system saw of a person, and the truth."""
+
+    skeleton: Skeleton
+    displacements: np.ndarray
+    coordinates: np.ndarray
+    measured: np.ndarray
+    rate: float
+
+
+def tilted(direction, angle, rng):
+    """Return a unit direction turned by up to ``angle`` [rad] about a random axis."""
+    vector = rng.normal(size=3)
+    vector *= rng.uniform(0.0, angle) / np.linalg.norm(vector)
+    return Rotation.from_rotvec(vector).apply(direction)
+
+
+def random_person(seed: int, tilt: float = 0.35) -> Skeleton:
+    """Return a two-armed person of the template upper_body with the 24 markers of the dissertation."""
+    rng = np.random.default_rng(seed)
+    blank = blank_skeleton(load_template("upper_body"), NAMES, SEGMENTS)
+    points, axes = np.zeros((len(blank.joints), 3)), blank.tree.axis.copy()
+    place = {"torso": np.array([0.0, 0.0, -0.12])}
+    half, upper, fore = rng.uniform(0.15, 0.21), rng.uniform(0.26, 0.36), rng.uniform(0.21, 0.29)
+    for index, joint in enumerate(blank.joints):
+        side = -1.0 if joint.name.startswith("right") else 1.0
+        shoulder = np.array([rng.uniform(-0.02, 0.02), side * half, rng.uniform(-0.02, 0.02)])
+        bent = np.array([0.05, side * 0.03, 0.0])
+        if joint.kind is JointKind.BALL:
+            points[index] = shoulder
+            place[joint.segment] = shoulder
+            continue
+        if joint.kind is JointKind.FREE:
+            continue
+        axes[index] = tilted(axes[index], tilt, rng)
+        parent = place[joint.parent]
+        step = {"elbow": [0.0, 0.0, -upper], "wrist": [0.0, 0.0, -fore] + bent}.get(
+            joint.name.partition("_")[2], [0, 0, 0]
+        )
+        points[index] = parent + step
+        if joint.name.endswith("_forearm"):
+            points[index] = parent + rng.normal(size=3) * 0.004
+        place[joint.segment] = points[index]
+    markers = []
+    for name, segment in zip(NAMES, SEGMENTS):
+        number = int(name[-1])
+        side = -1.0 if segment.startswith("right") else 1.0
+        if segment == "torso":
+            front = 0.11 if name.startswith("CHEST") else -0.10
+            spot = [front, 0.07 if number % 2 else -0.07, -0.04 if number < 3 else -0.22]
+        elif segment.endswith("upper_arm"):
+            spot = place[segment] + [0.04 * np.cos(2.1 * number), side * 0.045 * np.sin(2.1 * number), -0.08 * number]
+        elif segment.endswith("forearm"):
+            spot = place[segment] + [0.04 * np.cos(2.3 * number), 0.04 * np.sin(2.3 * number), -0.07 * (number - 3)]
+        else:
+            spot = place[segment] + [0.03 if number == 7 else -0.03, side * 0.02, -0.075 if number == 7 else -0.057]
+        markers.append(np.asarray(spot) + rng.normal(size=3) * 0.008)
+    limits = np.vstack([ARM_LIMITS, ARM_LIMITS]) + rng.uniform(-0.12, 0.12, size=(14, 2))
+    return blank.with_geometry(axes, points, np.array(markers)).with_limits(limits[:, 0], limits[:, 1])
+
+
+def calibration_motion(
+    skeleton: Skeleton,
+    frames: int = 1500,
+    rate: float = 50.0,
+    noise: float = 0.001,
+    missing: float = 0.1,
+    seed: int = 0,
+) -> Motion:
+    """Return the markers of a person who stands still, then moves each joint through its range three times."""
+    rng = np.random.default_rng(seed + 1000)
+    count = len(skeleton.displacement_names)
+    still = max(frames // 30, 5)
+    per_arm = 7
+    displacements = np.zeros((frames, count))
+    bounds = np.linspace(still, frames, per_arm + 1).astype(int)
+    for block in range(per_arm):
+        start, stop = bounds[block], bounds[block + 1]
+        phase = np.linspace(0.0, 1.0, stop - start)
+        blend = np.minimum(1.0, 8.0 * np.minimum(phase, 1.0 - phase))
+        for arm in range(count // per_arm):
+            own = arm * per_arm + block
+            low, high = skeleton.lower[own], skeleton.upper[own]
+            sweep = 0.5 * (high + low) - 0.5 * (high - low) * np.cos(2.0 * np.pi * 3.0 * phase + arm)
+            displacements[start:stop, own] = blend * sweep
+            elbow = arm * per_arm + 3
+            if block in (2, 4, 5, 6):
+                displacements[start:stop, elbow] = blend * 1.4
+    displacements += 0.03 * np.sin(
+        np.outer(np.arange(frames) / rate, rng.uniform(0.5, 2.0, count)) + rng.uniform(0, 6, count)
+    )
+    displacements[:still] *= np.linspace(0.0, 1.0, still)[:, None] ** 2 * 0.2
+    displacements = np.clip(displacements, skeleton.lower, skeleton.upper)
+    times = np.arange(frames) / rate
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    sway = np.column_stack([0.1 * np.sin(0.4 * times), 0.05 * np.sin(0.7 * times), 0.2 * np.sin(0.3 * times)])
+    poses[:, :3, :3] = Rotation.from_euler("xyz", sway).as_matrix()
+    poses[:, :3, 3] = [0.3, 0.2, 1.4] + 0.02 * sway
+    coordinates = skeleton.coordinates(displacements, poses if skeleton.is_free else None)
+    measured = forward(skeleton.tree, coordinates) + noise * rng.normal(size=(frames, len(skeleton.marker_names), 3))
+    measured[rng.random(measured.shape[:2]) < missing] = np.nan
+    return Motion(skeleton, displacements, coordinates, measured, rate)
