@@ -12,7 +12,8 @@ from _pytest.runner import runtestprotocol
 
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ.setdefault("MUJOCO_GL", "egl")
-sys.path.insert(0, str(Path(__file__).parent / "nodes"))
+for folder in ("nodes", "skeleton"):
+    sys.path.insert(0, str(Path(__file__).parent / folder))
 
 FIRST_FAILURES: list = []
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -17,6 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 import handover_ros
+from handover_ros.files import write_whole
 
 VERSIONED = ("numpy", "scipy", "pin", "mujoco", "filterpy", "numba", "rclpy")
 
@@ -110,22 +109,6 @@ def finite(value: float) -> float | int | None:
     if isinstance(value, int):
         return int(value)
     return float(value) if math.isfinite(value) else None
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file whole or not at all: temporary file, fsync, rename."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def handover_table(records: Sequence[HandoverRecord]) -> Table:

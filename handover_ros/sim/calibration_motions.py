@@ -1,7 +1,4 @@
-"""The motions a person makes for calibration: each arm joint through its range, three times (Bestick 2017, figure 2.4).
-
-Names and prompts are shared by the simulated person and by whoever asks a real one.
-"""
+"""How the simulated person makes the calibration motions of ``skeleton/prompts.py``."""
 
 from __future__ import annotations
 
@@ -9,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handover_ros.errors import UnknownNameError
 from handover_ros.geometry import FloatArray
 from handover_ros.sim.person_spec import ARM_JOINTS, ARM_SLICE, HANDS, PersonSpec
+from handover_ros.skeleton.prompts import PROMPTS, REPETITIONS, CalibrationPrompt, prompt_of
 
-REPETITIONS = 3
 RANGE_SHARE = 0.97
 ENTRY_TIME = 1.2
 MEAN_SPEED = 1.9
@@ -23,64 +19,29 @@ STILL_TIME = 2.0
 
 @dataclass(frozen=True)
 class CalibrationMotion:
-    """A motion of both arms at once.
+    """How the simulated person makes one motion, with both arms at once.
 
     Attributes:
-        name: How services name it.
-        prompt: What the person is told.
         joint: Arm joint that goes through its range; empty: none.
         posture: Displacements [rad] of other arm joints meanwhile.
     """
 
-    name: str
-    prompt: str
     joint: str
     posture: dict[str, float]
 
 
-MOTIONS = (
-    CalibrationMotion("still", "Stand still, arms hanging, palms to the body", "", {}),
-    CalibrationMotion(
-        "shoulder_flexion",
-        "Raise both straight arms forward and up as far as you can, then back behind you",
-        "shoulder_flexion",
-        {"elbow_flexion": 0.1},
+MOTIONS = {
+    "still": CalibrationMotion("", {}),
+    "shoulder_flexion": CalibrationMotion("shoulder_flexion", {"elbow_flexion": 0.1}),
+    "shoulder_abduction": CalibrationMotion("shoulder_abduction", {"elbow_flexion": 0.1, "shoulder_flexion": 0.35}),
+    "shoulder_rotation": CalibrationMotion(
+        "shoulder_rotation", {"elbow_flexion": 1.5, "shoulder_abduction": 0.6, "shoulder_flexion": 0.3}
     ),
-    CalibrationMotion(
-        "shoulder_abduction",
-        "Raise both straight arms sideways and up as far as you can, then cross them before you",
-        "shoulder_abduction",
-        {"elbow_flexion": 0.1, "shoulder_flexion": 0.35},
-    ),
-    CalibrationMotion(
-        "shoulder_rotation",
-        "Elbows bent and a little off the body: turn the forearms outward and inward",
-        "shoulder_rotation",
-        {"elbow_flexion": 1.5, "shoulder_abduction": 0.6, "shoulder_flexion": 0.3},
-    ),
-    CalibrationMotion(
-        "elbow_flexion", "Bend and stretch both elbows fully", "elbow_flexion", {"shoulder_flexion": 0.3}
-    ),
-    CalibrationMotion(
-        "forearm_pronation",
-        "Elbows bent: turn the palms up and down",
-        "forearm_pronation",
-        {"elbow_flexion": 1.5, "shoulder_flexion": 0.2},
-    ),
-    CalibrationMotion(
-        "wrist_flexion",
-        "Elbows bent: bend the hands inward and outward",
-        "wrist_flexion",
-        {"elbow_flexion": 1.5, "shoulder_flexion": 0.2},
-    ),
-    CalibrationMotion(
-        "wrist_deviation",
-        "Elbows bent: tilt the hands towards the thumb and the little finger",
-        "wrist_deviation",
-        {"elbow_flexion": 1.5, "shoulder_flexion": 0.2},
-    ),
-)
-MOTION_NAMES = tuple(motion.name for motion in MOTIONS)
+    "elbow_flexion": CalibrationMotion("elbow_flexion", {"shoulder_flexion": 0.3}),
+    "forearm_pronation": CalibrationMotion("forearm_pronation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
+    "wrist_flexion": CalibrationMotion("wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
+    "wrist_deviation": CalibrationMotion("wrist_deviation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +67,8 @@ def calibration_plan(person: PersonSpec, name: str = "") -> tuple[MotionPlan, ..
     Raises:
         UnknownNameError: There is no such motion.
     """
-    if name and name not in MOTION_NAMES:
-        raise UnknownNameError("calibration motion", name, MOTION_NAMES)
-    return tuple(_plan(person, motion) for motion in MOTIONS if name in ("", motion.name))
+    prompts = (prompt_of(name),) if name else PROMPTS
+    return tuple(_plan(person, prompt) for prompt in prompts)
 
 
 def calibration_duration(person: PersonSpec, name: str = "") -> float:
@@ -116,11 +76,12 @@ def calibration_duration(person: PersonSpec, name: str = "") -> float:
     return sum(plan.duration for plan in calibration_plan(person, name))
 
 
-def _plan(person: PersonSpec, motion: CalibrationMotion) -> MotionPlan:
+def _plan(person: PersonSpec, prompt: CalibrationPrompt) -> MotionPlan:
     """Return the way points of a motion for a person's range."""
+    motion = MOTIONS[prompt.name]
     standing = person.standing
     if not motion.joint:
-        return MotionPlan(motion.name, motion.prompt, np.array([0.0, STILL_TIME]), np.stack([standing, standing]))
+        return MotionPlan(prompt.name, prompt.text, np.array([0.0, STILL_TIME]), np.stack([standing, standing]))
     start = standing.copy()
     index = ARM_JOINTS.index(motion.joint)
     for hand in HANDS:
@@ -137,7 +98,7 @@ def _plan(person: PersonSpec, motion: CalibrationMotion) -> MotionPlan:
     stroke = max(swing / MEAN_SPEED, SHORTEST_REPETITION / 2.0)
     postures = [standing, start, *[high, low] * REPETITIONS, start, standing]
     steps = [ENTRY_TIME, *[stroke] * (2 * REPETITIONS), 0.7 * stroke, ENTRY_TIME]
-    return MotionPlan(motion.name, motion.prompt, np.concatenate([[0.0], np.cumsum(steps)]), np.stack(postures))
+    return MotionPlan(prompt.name, prompt.text, np.concatenate([[0.0], np.cumsum(steps)]), np.stack(postures))
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:

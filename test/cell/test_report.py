@@ -5,10 +5,9 @@ import json
 import math
 from pathlib import Path
 
-import pytest
 from rich.console import Console
 
-from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, phase_table, write_json, write_whole
+from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, phase_table, write_json
 
 RECORDS = [
     HandoverRecord(1, "mug", "relative", "left", True, True, True, "fine", (("planning", 0.5), ("fetching", 6.1)), 0.4),
@@ -23,15 +22,6 @@ def test_json_has_the_stable_shape_and_no_nan(tmp_path: Path):
     assert document["metrics"] == {"x": None, "n": 2, "y": 0.5}
     assert document["seed"] == 3
     assert "numpy" in document["versions"]
-
-
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path):
-    path = tmp_path / "f.txt"
-    write_whole(path, "first")
-    with pytest.raises(UnicodeEncodeError):
-        write_whole(path, "second \ud800")
-    assert path.read_text() == "first"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_tables_name_every_handover_and_phase_in_80_columns():

@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_ros.errors import UnknownNameError
-from handover_ros.sim.calibration_motions import MOTION_NAMES, REPETITIONS, calibration_duration, calibration_plan
+from handover_ros.sim.calibration_motions import MOTIONS, calibration_duration, calibration_plan
 from handover_ros.sim.person_motion import Movement, MovementSequence, Sway, WayPointPath, minimum_jerk
 from handover_ros.sim.person_spec import ARM_JOINTS, ARM_SLICE, HANDS, load_person
+from handover_ros.skeleton.prompts import MOTION_NAMES, REPETITIONS
 
 PEOPLE = ("adult", "small", "tall", "restricted")
 
@@ -81,5 +82,6 @@ def test_one_motion_can_be_picked_and_an_unknown_one_is_named():
     person = load_person("adult")
     assert [plan.name for plan in calibration_plan(person, "elbow_flexion")] == ["elbow_flexion"]
     assert set(ARM_JOINTS) < set(MOTION_NAMES)
+    assert set(MOTIONS) == set(MOTION_NAMES), "the simulated person can do all that it may be asked to do"
     with pytest.raises(UnknownNameError, match="elbow_flexion"):
         calibration_plan(person, "somersault")
