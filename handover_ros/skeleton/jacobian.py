@@ -6,6 +6,7 @@ Everything takes one posture, displacements (n,), or many, (..., n). A free root
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -60,23 +61,33 @@ class Motion:
     twists: FloatArray
 
 
-def exponential(twist: FloatArray, displacement: FloatArray) -> FloatArray:
-    """Return exp(twist^ displacement) (..., 4, 4) of a unit twist (6,) and displacements (...) (eq. 2.1).
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a x b of vectors (..., 3); NumPy's own takes ten times as long for a few vectors."""
+    (ax, ay, az), (bx, by, bz) = ((each[..., 0], each[..., 1], each[..., 2]) for each in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+@lru_cache(maxsize=64)
+def all_twists(skeleton: Skeleton) -> FloatArray:
+    """Return the twists (n, 6) of all displacements in the zero frame, remembered: a skeleton does not change."""
+    return np.concatenate([np.zeros((0, 6)), *(joint.twists for joint in skeleton.joints)])
+
+
+def exponential(twists: FloatArray, displacements: FloatArray) -> FloatArray:
+    """Return exp(twist^ displacement) (..., 4, 4) of unit twists (..., 6) and displacements (...) (eq. 2.1).
 
     Rodrigues' formula with the axis' point nearest to the origin; a twist without rotation is a translation.
     """
-    linear, axis = twist[:3], twist[3:]
-    angle = np.asarray(displacement, dtype=float)
-    result = np.zeros((*angle.shape, 4, 4))
-    result[..., :, :] = np.eye(4)
-    if not axis.any():
-        result[..., :3, 3] = angle[..., None] * linear
-        return result
-    hat = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    sine, rest = np.sin(angle)[..., None, None], (1.0 - np.cos(angle))[..., None, None]
-    result[..., :3, :3] += sine * hat + rest * (hat @ hat)
-    point = np.cross(axis, linear)
-    result[..., :3, 3] = point - result[..., :3, :3] @ point
+    linear, axis = twists[..., :3], twists[..., 3:]
+    angle = np.asarray(displacements, dtype=float)[..., None]
+    hat = cross(axis[..., None, :], -np.eye(3))
+    rotation = np.eye(3) + np.sin(angle)[..., None] * hat + (1.0 - np.cos(angle))[..., None] * (hat @ hat)
+    point = cross(axis, linear)
+    slides = ~axis.any(axis=-1, keepdims=True)
+    result = np.zeros((*rotation.shape[:-2], 4, 4))
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = point - (rotation @ point[..., None])[..., 0] + np.where(slides, linear, 0.0) * angle
+    result[..., 3, 3] = 1.0
     return result
 
 
@@ -85,7 +96,7 @@ def adjoint(poses: FloatArray, twists: FloatArray) -> FloatArray:
     rotation, translation = poses[..., :3, :3], poses[..., :3, 3]
     linear = (rotation @ twists[..., :3, None])[..., 0]
     angular = (rotation @ twists[..., 3:, None])[..., 0]
-    return np.concatenate([linear + np.cross(translation, angular), angular], axis=-1)
+    return np.concatenate([linear + cross(translation, angular), angular], axis=-1)
 
 
 def move_tree(skeleton: Skeleton, displacements: npt.ArrayLike, world_from_root: FloatArray | None = None) -> Motion:
@@ -97,21 +108,22 @@ def move_tree(skeleton: Skeleton, displacements: npt.ArrayLike, world_from_root:
         world_from_root: Pose of a free root (4, 4); default: the world's origin.
     """
     values = np.asarray(displacements, dtype=float)
-    batch = values.shape[:-1]
-    poses = np.zeros((*batch, len(skeleton.joints) + 1, 4, 4))
-    twists = np.zeros((*batch, values.shape[-1], 6))
+    twists = all_twists(skeleton)
+    steps = exponential(twists, values)
+    poses = np.zeros((*values.shape[:-1], len(skeleton.joints) + 1, 4, 4))
+    before = np.zeros_like(steps)
     poses[..., 0, :, :] = np.eye(4)
     column = 0
     for index, joint in enumerate(skeleton.joints):
         pose = poses[..., int(skeleton.tree.parent[index]) + 1, :, :]
         if joint.kind is JointKind.FREE and world_from_root is not None:
             pose = pose @ world_from_root
-        for twist in joint.twists:
-            twists[..., column, :] = adjoint(pose, np.broadcast_to(twist, (*batch, 6)))
-            pose = pose @ exponential(twist, values[..., column])
+        for _ in joint.displacement_names:
+            before[..., column, :, :] = pose
+            pose = pose @ steps[..., column, :, :]
             column += 1
         poses[..., index + 1, :, :] = pose
-    return Motion(poses, twists)
+    return Motion(poses, adjoint(before, np.broadcast_to(twists, (*values.shape, 6))))
 
 
 def frame_pose(skeleton: Skeleton, motion: Motion, frame: Frame) -> FloatArray:
@@ -179,5 +191,5 @@ def jacobian_of(skeleton: Skeleton, motion: Motion, base: Frame, manipulator: Fr
     # Step 8: the twists in the base frame.
     twists = adjoint(base_from_world[..., None, :, :], sign[:, None] * motion.twists)
     # Step 9: the velocity that each twist gives to the manipulator frame's origin.
-    linear = twists[..., :3] + np.cross(twists[..., 3:], origin[..., None, :])
+    linear = twists[..., :3] + cross(twists[..., 3:], origin[..., None, :])
     return np.asarray(np.swapaxes(np.concatenate([linear, twists[..., 3:]], axis=-1), -1, -2))
