@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 
 import matplotlib
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-import handover_ros
 from handover_ros.files import write_whole
-
-VERSIONED = ("numpy", "scipy", "pin", "mujoco", "filterpy", "numba", "rclpy")
+from handover_ros.provenance import versions
 
 PHASE_COLOURS = {
     "planning": "#9aa0a6",
@@ -64,17 +60,6 @@ class HandoverRecord:
     def duration(self) -> float:
         """Duration of all phases [s]."""
         return sum(seconds for _, seconds in self.phases)
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
-    found = {"handover_ros": handover_ros.__version__, "python": platform.python_version()}
-    for name in VERSIONED:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def write_json(

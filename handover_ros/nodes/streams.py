@@ -50,6 +50,7 @@ class StreamReader:
         self, node: Node, message_type: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile
     ) -> None:
         self.lock = threading.Lock()
+        self._node = node
         self._callback = callback
         self._context = node.context
         self._subscription = node.create_subscription(
@@ -63,9 +64,11 @@ class StreamReader:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread; call before the node is destroyed."""
+        """End the thread and the subscription; call before the node is destroyed, from another thread."""
         self._stop.set()
         self._thread.join(STOP_TIMEOUT)
+        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_guard_condition(self._failed)
 
     def _raise(self) -> None:
         if self._error is not None:
