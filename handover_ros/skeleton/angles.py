@@ -1,7 +1,6 @@
 """A rotation as three turns about orthogonal axes in sequence, and back: the ball joint's map of eq. 2.12.
 
-R = exp(w1 a1) exp(w2 a2) exp(w3 a3). The middle angle beyond +-90 degrees is allowed: each rotation has two triples, and
-which one a joint means follows from the frame before.
+R = exp(w1 a1) exp(w2 a2) exp(w3 a3). The middle angle may go beyond +-90 degrees: each rotation has two triples.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import numpy as np
 from handover_ros.geometry import FloatArray
 
 FULL_TURN = 2.0 * np.pi
+GIMBAL = 0.15  # cosine of the middle angle below which the outer two are hardly known
 
 
 def rotation_of(axes: FloatArray, angles: FloatArray) -> FloatArray:
@@ -30,21 +30,22 @@ def rotation_of(axes: FloatArray, angles: FloatArray) -> FloatArray:
 
 
 def euler_angles(axes: FloatArray, rotations: FloatArray, near: FloatArray) -> FloatArray:
-    """Return the angles (k, 3) [rad] of rotations (k, 3, 3), the first near ``near`` (3,), each other near the last."""
+    """Return the angles (..., 3) [rad] of rotations (..., 3, 3): of the two triples, the one nearer to ``near`` (3,).
+
+    The triples differ by half a turn in the outer angles, far more than a joint's range is wide, so that each frame can
+    be read without the ones before. (Following the last frame instead goes wrong where a motion passes close by the pole.)
+    """
     sign = np.sign(np.linalg.det(axes))
     local = axes @ rotations @ axes.T
-    middle = np.arcsin(np.clip(local[:, 0, 2], -1.0, 1.0))
-    first = np.arctan2(-local[:, 1, 2], local[:, 2, 2])
-    last = np.arctan2(-local[:, 0, 1], local[:, 0, 0])
-    one = sign * np.stack([first, middle, last], axis=1)
-    other = sign * np.stack([first + np.pi, np.pi - middle, last + np.pi], axis=1)
-    result = np.empty_like(one)
-    previous = np.asarray(near, dtype=float)
-    for index, candidates in enumerate(np.stack([one, other], axis=1)):
-        turned = candidates - FULL_TURN * np.round((candidates - previous) / FULL_TURN)
-        previous = turned[np.argmin(np.square(turned - previous).sum(axis=1))]
-        result[index] = previous
-    return result
+    middle = np.arcsin(np.clip(local[..., 0, 2], -1.0, 1.0))
+    first = np.arctan2(-local[..., 1, 2], local[..., 2, 2])
+    last = np.arctan2(-local[..., 0, 1], local[..., 0, 0])
+    one = sign * np.stack([first, middle, last], axis=-1)
+    other = sign * np.stack([first + np.pi, np.pi - middle, last + np.pi], axis=-1)
+    candidates = np.stack([one, other])
+    candidates -= FULL_TURN * np.round((candidates - near) / FULL_TURN)
+    distance = np.square(candidates - near).sum(axis=-1)
+    return np.asarray(np.where((distance[0] <= distance[1])[..., None], candidates[0], candidates[1]))
 
 
 def euler_rates(axes: FloatArray, angles: FloatArray) -> FloatArray:

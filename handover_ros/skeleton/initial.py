@@ -25,10 +25,10 @@ from handover_ros.skeleton.tree import COORDINATES, TANGENTS, FlatTree, IntArray
 TRIAL_FRAMES = 48
 TRIAL_ITERATIONS = 15
 SEEDS = 16
-GOOD_ENOUGH = 1.6  # times the noise that remains when the segment may move freely: no better axes to be found
+GOOD_ENOUGH = 1.2  # times the noise that remains when the segment may move freely: no better axes to be found
 RIVAL = 1.1  # a second minimum whose noise is at most this much larger is kept as a rival
 NOISE_FLOOR = 3e-4  # [m] below it nothing is worth another try
-CENTRE_PULL = 0.02  # [m] markers that hardly move pull the centre of rotation no farther than this
+SAME_AXIS = 0.9  # cosine of the angle between two axes above which they are taken for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,7 @@ def first_guess(
     reference: int,
     meets: dict[int, int],
     world_from_zero: FloatArray | None = None,
+    hints: FloatArray | None = None,
     seed: int = 0,
 ) -> InitialGuess:
     """Return a first guess; the posture of frame ``reference`` becomes the zero posture.
@@ -97,6 +98,7 @@ def first_guess(
         meets: Joint whose axis goes through the point of another, by index.
         world_from_zero: The zero frame in the world at frame ``reference`` (4, 4); None: the world's axes at the middle
             of the root's markers.
+        hints: Directions (joints, 3) that make a rival where the markers leave two fits open; zero: none.
         seed: Of the starting axes.
     """
     rng = np.random.default_rng(seed)
@@ -120,7 +122,8 @@ def first_guess(
         base_markers = np.flatnonzero((tree.marker_joint == group.base) & (group.base >= 0))
         base = poses[group.base + 1]
         pair = Pair(marker[base_markers], observed[:, base_markers], base, observed[:, group.markers], noise)
-        fits, tried[group.joints[-1]] = fit_group(tree, group, pair, reference, meets, rng)
+        own_hints = None if hints is None else hints[list(group.joints)]
+        fits, tried[group.joints[-1]] = fit_group(tree, group, pair, reference, meets, rng, own_hints)
         rivals += [(group, fit) for fit in fits[1:]]
         place_group(tree, group, fits[0], axis, point, marker, coordinates)
         motion = segment_poses(fits[0].tree, fits[0].coordinates)
@@ -212,6 +215,7 @@ def fit_group(
     reference: int,
     meets: dict[int, int],
     rng: np.random.Generator,
+    hints: FloatArray | None = None,
 ) -> tuple[list[GroupFit], int]:
     """Return the best fits of a group's joints, the best first, and the number of starting axes tried.
 
@@ -224,6 +228,7 @@ def fit_group(
         reference: The frame whose posture is zero.
         meets: As in ``first_guess``.
         rng: Of the starting axes.
+        hints: Directions of the group's axes to try as well, shape (joints of the group, 3).
     """
     kinds = [JointKind(tree.kind[j]) for j in group.joints]
     local_meets = {
@@ -250,17 +255,29 @@ def fit_group(
     found.sort(key=lambda each: each[0])
     if len(turning) == 2:
         # The two axes may have been found in the wrong order: it fits a little worse, and no small step leads out.
-        swapped = found[0][1].axis.copy()
+        best = found[0]
+        swapped = best[1].axis.copy()
         swapped[turning] = swapped[turning[::-1]]
-        tried += 1
-        found.insert(1, trial.fit(found[0][1]._replace(axis=swapped)))
-        found[:2] = sorted(found[:2], key=lambda each: each[0])
-    rivals = [each for each in found[1:2] if each[0] < RIVAL * found[0][0]]
+        others = [trial.fit(best[1]._replace(axis=swapped))]
+        if hints is not None and np.linalg.norm(hints[turning], axis=1).min() > 0.5:
+            hinted = blank.axis.copy()
+            hinted[turning] = hints[turning]
+            others.append(trial.fit(blank._replace(axis=hinted)))
+        tried += len(others)
+        others = [each for each in others if other_axes(each[1], best[1], turning)]
+        found = sorted([best, *others], key=lambda each: each[0])
+    rivals = [each for each in found[1:4] if each[0] < RIVAL * found[0][0]]
     fits = []
     for sigma, own, q in [found[0], *rivals]:
         every, _ = solve_postures(own, q[trial.reference], pair.seen, start=reference)
         fits.append(GroupFit(own, every, sigma))
     return fits, tried
+
+
+def other_axes(first: FlatTree, second: FlatTree, joints: list[int]) -> bool:
+    """Return whether two fits of a group have clearly different axes."""
+    cosines = np.abs(np.einsum("ja,ja->j", first.axis[joints], second.axis[joints]))
+    return bool(cosines.min() < SAME_AXIS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from handover_ros.geometry import FloatArray
-from handover_ros.skeleton.kernels import BALL, FREE, ancestors, joint_poses, move
+from handover_ros.skeleton.kernels import BALL, FREE, REVOLUTE, ancestors, joint_poses, move
 from handover_ros.skeleton.normal_equations import add_marker, cholesky_in_place, product, robust_loss, tangent_twists
 from handover_ros.skeleton.tree import FlatTree
 
@@ -17,6 +17,9 @@ STILL = 1e-9  # [m^2] a posture that no marker sees stays where it is
 CONVERGED = 1e-9  # relative decrease of the loss
 WORSE = 1.02  # times the loss of a frame before a step: the step does not suit this frame
 SETTLE_ITERATIONS = 4
+BAD_FRAME = 4.0  # times the median loss
+PULL = 1e-6  # [m^2/rad^2] what a joint's turn costs when two postures are compared
+FAR = 2.2  # [rad]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -123,8 +126,23 @@ def solve_frame(tree, chains, q, observed, inverse_scale, iterations):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def turned_far(tree, q):
+    """Return the sum of squares and the largest of the revolute displacements [rad] of a posture q (nq,)."""
+    total, largest = 0.0, 0.0
+    for j in range(tree.kind.shape[0]):
+        if tree.kind[j] == REVOLUTE:
+            angle = q[tree.coordinate[j]]
+            total += angle * angle
+            largest = max(largest, abs(angle))
+    return total, largest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def solve_in_order(tree, chains, q, observed, inverse_scale, iterations, order, neighbour, losses):
     """Solve frames in ``order``, each from its own guess or from its neighbour's solution, whichever fits better.
+
+    Where few markers are seen two postures may fit equally well; the one nearer to the zero posture is taken then, and a
+    posture with a joint turned very far is tried again from zero.
 
     Args:
         tree: The skeleton.
@@ -141,15 +159,26 @@ def solve_in_order(tree, chains, q, observed, inverse_scale, iterations, order, 
     for index in range(order.shape[0]):
         k = order[index]
         n = neighbour[k]
-        if n < 0:
-            losses[k] = solve_frame(tree, chains, q[k], observed[k], inverse_scale, iterations)
-            continue
-        other[:] = q[n]
-        loss = solve_frame(tree, chains, other, observed[k], inverse_scale, iterations)
+        if n >= 0:
+            other[:] = q[n]
         losses[k] = solve_frame(tree, chains, q[k], observed[k], inverse_scale, iterations)
-        if loss <= losses[k]:
-            q[k] = other
-            losses[k] = loss
+        pull, largest = turned_far(tree, q[k])
+        if n >= 0:
+            loss = solve_frame(tree, chains, other, observed[k], inverse_scale, iterations)
+            other_pull, other_largest = turned_far(tree, other)
+            if loss + PULL * other_pull <= losses[k] + PULL * pull:
+                q[k] = other
+                losses[k], pull, largest = loss, other_pull, other_largest
+        if largest > FAR:
+            other[:] = q[k]
+            for j in range(tree.kind.shape[0]):
+                if tree.kind[j] == REVOLUTE:
+                    other[tree.coordinate[j]] = 0.0
+            loss = solve_frame(tree, chains, other, observed[k], inverse_scale, iterations)
+            other_pull, other_largest = turned_far(tree, other)
+            if loss + PULL * other_pull <= losses[k] + PULL * pull:
+                q[k] = other
+                losses[k] = loss
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -232,7 +261,19 @@ def solve_postures(
     neighbour[start] = -1
     losses = np.empty(frames)
     inverse_scale = 0.0 if np.isinf(robust_scale) else 1.0 / robust_scale**2
-    solve_in_order(
-        tree, ancestors(tree), q, np.ascontiguousarray(observed), inverse_scale, iterations, order, neighbour, losses
-    )
+    chains, observed = ancestors(tree), np.ascontiguousarray(observed)
+    solve_in_order(tree, chains, q, observed, inverse_scale, iterations, order, neighbour, losses)
+    # A frame that fits badly gets other tries: from the frames on both sides, and without letting markers go.
+    for side in (1, -1, 1):
+        bad = np.flatnonzero(losses > BAD_FRAME * np.median(losses))[::-side]
+        if not len(bad):
+            break
+        beside = (np.arange(frames) + side).clip(0, frames - 1)
+        solve_in_order(tree, chains, q, observed, inverse_scale, iterations, bad, beside, losses)
+        if inverse_scale > 0.0:
+            other, other_losses, alone = q.copy(), losses.copy(), np.full(frames, -1)
+            solve_in_order(tree, chains, other, observed, 0.0, iterations, bad, beside, other_losses)
+            solve_in_order(tree, chains, other, observed, inverse_scale, iterations, bad, alone, other_losses)
+            better = bad[other_losses[bad] < losses[bad]]
+            q[better], losses[better] = other[better], other_losses[better]
     return q, losses

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import scipy.linalg
+from threadpoolctl import ThreadpoolController
 
 from handover_ros.geometry import FloatArray
 from handover_ros.skeleton.kernels import ancestors, forward
@@ -20,6 +22,12 @@ CHUNKS = 8  # fixed, so that sums do not depend on the number of cores
 FEW_FRAMES = 64  # not worth a second thread
 LARGEST_DAMPING = 1e12
 STALL_GAIN = 1e-3  # a step that gains less than this share of what it promised says that the model is bad here
+
+
+@cache
+def blas_controller() -> ThreadpoolController:
+    """Return what limits the threads of the linear algebra libraries that are loaded."""
+    return ThreadpoolController()
 
 
 @dataclass(frozen=True)
@@ -193,7 +201,9 @@ def minimise(
     tangents = int(sum(1 if kind < 2 else 3 if kind == 2 else 6 for kind in tree.kind))
     equations = NormalEquations(tangents, observed, layout, frozen, settings.robust_scale)
     try:
-        return _descend(equations, tree, layout, np.array(coordinates, dtype=float), settings)
+        # The frames are shared out among our own threads; those of the linear algebra would only get in their way.
+        with blas_controller().limit(limits=1, user_api="blas"):
+            return _descend(equations, tree, layout, np.array(coordinates, dtype=float), settings)
     finally:
         equations.close()
 

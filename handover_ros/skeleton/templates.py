@@ -25,7 +25,8 @@ class TemplateJoint(Schema):
     ``positive`` gives, for each displacement, the direction (root frame: x forward, y left, z up) about or along which
     it counts positive. For a ball joint these directions are its axes in sequence; for other joints only the sign is
     taken from it, the axis itself is fitted. ``meets``: a joint whose axis this one's axis meets in a point. ``side``
-    says on which side of the body the joint lies, to notice when left and right are swapped.
+    says on which side of the body the joint lies, and ``one_way`` that from standing it moves to the positive side only (an
+    elbow), to notice when left and right are swapped.
     """
 
     name: Name
@@ -36,6 +37,7 @@ class TemplateJoint(Schema):
     positive: tuple[Vector3, ...] = ()
     meets: Name | None = None
     side: Literal["left", "right"] | None = None
+    one_way: bool = False
 
     @model_validator(mode="after")
     def _check(self) -> TemplateJoint:

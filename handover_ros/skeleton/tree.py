@@ -312,7 +312,7 @@ class Skeleton:
         """Return displacements (..., n) [rad, m] of coordinates (..., nq).
 
         Three angles of a ball joint exist twice, and each may be off by full turns; chosen are those nearest to
-        ``near`` (n,) (default: the middle of the limits). For shape (frames, nq) every frame stays near the one before.
+        ``near`` (n,) (default: the middle of the limits).
         """
         values = np.asarray(coordinates, dtype=float)
         target = self.middle if near is None else np.asarray(near, dtype=float)
