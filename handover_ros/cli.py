@@ -40,6 +40,7 @@ SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulation.")]
 PersonOption = Annotated[str, typer.Option(help="Simulated person, a file of config/people.")]
 RobotOption = Annotated[str, typer.Option(help="Robot, a file of config/robots.")]
 SceneOption = Annotated[str, typer.Option(help="Scene, a file of config/scenes.")]
+MarkerSetOption = Annotated[str, typer.Option(help="Marker set of the recording; auto: the one that fits.")]
 SpeedOption = Annotated[
     float, typer.Option(min=0.0, max=100.0, help="Simulated seconds per second; 0: as fast as the machine can.")
 ]
@@ -66,7 +67,7 @@ def demo(
     recording: Annotated[
         Path | None, typer.Option(metavar="FILE", help="C3D, TRC or Vicon CSV instead of the simulated cameras.")
     ] = None,
-    marker_set: Annotated[str, typer.Option(help="Marker set of the recording; auto: the one that fits.")] = "auto",
+    marker_set: MarkerSetOption = "auto",
     speed: SpeedOption = 1.0,
     pictures: Annotated[bool, typer.Option(help="Render pictures of each handover.")] = True,
     seed: SeedOption = 1,
@@ -115,6 +116,41 @@ def up(
     nodes = tuple(node for node in NODES if node not in (without or ()))
     request = UpRequest(nodes=nodes, person=person, robot=robot, scene=scene, speed=speed, seed=seed, out=out)
     raise typer.Exit(run_up(request, console, interrupted_by_signals()))
+
+
+@app.command()
+def calibrate(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="C3D, TRC or Vicon CSV of one person; joined in order.")
+    ],
+    template: Annotated[str, typer.Option(help="Skeleton, a file of config/skeletons; empty: the one that fits.")] = "",
+    marker_set: MarkerSetOption = "auto",
+    person: Annotated[str, typer.Option(help="How you call the person.")] = "",
+    profile: Annotated[str, typer.Option(metavar="ID", help="Name of the profile; letters, digits, - and _.")] = "",
+    store: Annotated[
+        bool | None, typer.Option("--store/--no-store", help="Store the profile; default: when --profile names it.")
+    ] = None,
+    max_frames: Annotated[int, typer.Option(min=100, max=20000, help="Frames that enter the fit.")] = 1500,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the fit's starts.")] = 0,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Fit a person's skeleton to recordings of calibration motions: report, picture, profile."""
+    from handover_ros.cell.calibrate_command import CalibrateRequest, run_calibrate
+
+    request = CalibrateRequest(
+        recordings=tuple(recordings),
+        template=template,
+        marker_set=marker_set,
+        person=person,
+        profile_id=profile,
+        store=store,
+        max_frames=max_frames,
+        seed=seed,
+        json_file=json_file,
+        out=out,
+    )
+    raise typer.Exit(run_calibrate(request, console))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

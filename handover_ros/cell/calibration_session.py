@@ -14,6 +14,7 @@ from handover_ros.geometry import FloatArray
 from handover_ros.mocap.frames import MarkerStatus, Recording
 from handover_ros.mocap.marker_sets import MarkerSet
 from handover_ros.provenance import versions
+from handover_ros.resources import config_names
 from handover_ros.skeleton.calibration import CalibrationSettings, calibrate
 from handover_ros.skeleton.calibration_report import CalibrationReport
 from handover_ros.skeleton.profile import Profile, safe_profile_id, utc_now
@@ -21,6 +22,7 @@ from handover_ros.skeleton.prompts import PROMPTS, STILL, CalibrationPrompt, pro
 from handover_ros.skeleton.templates import NamedTemplate, blank_skeleton, load_template, matching_template
 
 MAX_PERSON = 100  # characters
+HAND_MOVES = 0.12  # [m] a hand that is calibrated moves farther than that
 
 
 @dataclass(frozen=True)
@@ -205,6 +207,23 @@ def chosen_template(name: str, segments: tuple[str, ...]) -> NamedTemplate:
             ErrorCode.NOT_ENOUGH_DATA,
         )
     return template
+
+
+def moving_segments(recording: Recording) -> tuple[str, ...]:
+    """Return the segments of the markers that are seen, without the hands that hardly move: their arms are not meant.
+
+    All of them when no hand moves.
+    """
+    hands = {hand for name in config_names("skeletons") for hand in load_template(name).content.hands.values()}
+    seen = np.asarray(np.isfinite(recording.positions[:, :, 0]).any(axis=0))
+    shown = tuple(segment for segment, is_seen in zip(recording.segments, seen) if is_seen)
+    still = set()
+    for hand in hands & set(shown):
+        own = [row for row, segment in enumerate(recording.segments) if segment == hand and seen[row]]
+        low, high = np.nanpercentile(recording.positions[:, own], [5.0, 95.0], axis=0)
+        if float(np.linalg.norm(high - low, axis=1).max()) < HAND_MOVES:
+            still.add(hand)
+    return tuple(segment for segment in shown if segment not in still) if still < hands & set(shown) else shown
 
 
 def fit_profile(

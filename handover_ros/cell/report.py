@@ -6,12 +6,14 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 import matplotlib
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from handover_ros.errors import BadRequestError
 from handover_ros.files import write_whole
 from handover_ros.provenance import versions
 
@@ -60,6 +62,20 @@ class HandoverRecord:
     def duration(self) -> float:
         """Duration of all phases [s]."""
         return sum(seconds for _, seconds in self.phases)
+
+
+def output_folder(out: Path | None, command: str) -> Path:
+    """Return the folder to write to, made if need be.
+
+    Raises:
+        BadRequestError: It cannot be made.
+    """
+    folder = out or Path("handover_out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadRequestError(f"--out {folder}: cannot be made: {error.strerror}") from None
+    return folder.resolve()
 
 
 def write_json(

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 from handover_msgs.action import ExecuteHandover
@@ -17,16 +16,23 @@ from handover_msgs.srv import ResetSimulation
 from rich.console import Console
 from rich.table import Table
 
+from handover_ros.cell.marker_files import AUTO, matching
 from handover_ros.cell.processes import NODES, CellProcesses, NodeLaunch
-from handover_ros.cell.report import HandoverRecord, draw_phases, handover_table, phase_table, write_json
-from handover_ros.errors import BadRecordingError, BadRequestError, HandoverError, UnknownNameError
-from handover_ros.mocap.marker_sets import matching_marker_set
+from handover_ros.cell.report import (
+    HandoverRecord,
+    draw_phases,
+    handover_table,
+    output_folder,
+    phase_table,
+    write_json,
+)
+from handover_ros.errors import HandoverError, UnknownNameError
 from handover_ros.mocap.recordings import read_recording
 from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
 from handover_ros.objects.catalogue import load_object
 from handover_ros.objects.scene import load_scene
 from handover_ros.planning.schemes import load_schemes
-from handover_ros.resources import config_directory, config_file, config_names
+from handover_ros.resources import config_directory, config_file
 
 READY_LIMIT = 60.0  # [s] of wall time until the graph is ready; the first start compiles and converts meshes
 HANDOVER_LIMIT = 240.0  # [s] of wall time for one handover
@@ -107,20 +113,6 @@ def launches(
     return {node: NodeLaunch(node, own.get(node, simulated), config_directory() / f"{node}.yaml") for node in nodes}
 
 
-def output_folder(out: Path | None, command: str) -> Path:
-    """Return the folder to write to, made if need be.
-
-    Raises:
-        BadRequestError: It cannot be made.
-    """
-    folder = out or Path("handover_out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadRequestError(f"--out {folder}: cannot be made: {error.strerror}") from None
-    return folder.resolve()
-
-
 def check_alive(processes: CellProcesses) -> None:
     """Raise when a node ended that should run, with what it said last."""
     for node in processes.ended():
@@ -136,15 +128,7 @@ def recording_parameters(request: DemoRequest) -> dict[str, object]:
     """
     assert request.recording is not None
     recording = read_recording(request.recording)
-    name = request.marker_set
-    if name == "auto":
-        matching = matching_marker_set(recording.names)
-        if matching is None:
-            raise BadRecordingError(
-                f"{request.recording}: no marker set fits its labels (tried {', '.join(config_names('marker_sets'))});"
-                " write one and name it with --marker-set"
-            )
-        name = matching.name
+    name = matching(recording).name if request.marker_set == AUTO else request.marker_set
     return {
         "source": "recording",
         "recording": str(request.recording.resolve()),
