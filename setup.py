@@ -48,6 +48,7 @@ setup(
         "toppra>=0.6",
         "rosbags>=0.10",
         "pillow>=10.0",
+        "threadpoolctl>=3.2",
     ],
     extras_require={"test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8"]},
     zip_safe=True,

@@ -33,7 +33,7 @@ def euler_angles(axes: FloatArray, rotations: FloatArray, near: FloatArray) -> F
     """Return the angles (..., 3) [rad] of rotations (..., 3, 3): of the two triples, the one nearer to ``near`` (3,).
 
     The triples differ by half a turn in the outer angles, far more than a joint's range is wide, so that each frame can
-    be read without the ones before. (Following the last frame instead goes wrong where a motion passes close by the pole.)
+    be read without the ones before. (Following the last frame instead goes wrong where a motion passes near the pole.)
     """
     sign = np.sign(np.linalg.det(axes))
     local = axes @ rotations @ axes.T

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from handover_ros.geometry import FloatArray
-from handover_ros.skeleton.angles import euler_rates
 from handover_ros.skeleton.gauge import gauge_directions
 from handover_ros.skeleton.kernels import ancestors
 from handover_ros.skeleton.layout import Layout
@@ -20,7 +19,7 @@ UNSEEN = 1e-9  # [m^2] information on a tangent that no marker sees
 def standard_errors(
     tree: FlatTree, layout: Layout, coordinates: FloatArray, observed: FloatArray, noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the standard errors of every joint's axis [rad] and point [m], shape (joints,) each; 0 where not estimated.
+    """Return standard errors (joints,) of every joint's axis [rad] and point [m]; 0 where not estimated.
 
     The inverse of the reduced normal matrix, with one frame's posture held, projected so that no freedom of the zero
     posture enters (an S-transformation to the inner-constraint datum, Baarda 1973).
@@ -60,7 +59,7 @@ def standard_errors(
 
 
 def posture_deviations(skeleton: Skeleton, coordinates: FloatArray, observed: FloatArray) -> FloatArray:
-    """Return the standard deviation of each displacement (frames, n) for markers of unit noise, the skeleton being known.
+    """Return the standard deviation of each displacement (frames, n) for markers of unit noise and a known skeleton.
 
     Args:
         skeleton: The skeleton.
@@ -76,17 +75,13 @@ def posture_deviations(skeleton: Skeleton, coordinates: FloatArray, observed: Fl
     information += np.swapaxes(np.tril(information, -1), -1, -2)
     information[:, np.arange(tangents), np.arange(tangents)] += UNSEEN
     with blas_controller().limit(limits=1, user_api="blas"):
-        covariance = displacement_covariance(skeleton, displacements, np.linalg.inv(information))
+        covariance = displacement_covariance(
+            skeleton, displacements, np.asarray(np.linalg.inv(information), dtype=float)
+        )
     return np.sqrt(np.einsum("knn->kn", covariance))
 
 
 def displacement_covariance(skeleton: Skeleton, displacements: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the covariance (..., n, n) of displacements (..., n), given that of the tangents (..., nv, nv)."""
-    mapping = np.zeros((*displacements.shape, covariance.shape[-1]))
-    for index, joint in enumerate(skeleton.joints):
-        if joint.kind is JointKind.FREE:
-            continue
-        own, tangent = skeleton.slice_of(index), skeleton.tangent_slice(index)
-        rates = euler_rates(joint.axes, displacements[..., own]) if joint.kind is JointKind.BALL else np.eye(1)
-        mapping[..., own, tangent] = rates
+    mapping = skeleton.displacement_mapping(displacements)
     return np.asarray(mapping @ covariance @ np.swapaxes(mapping, -1, -2))

@@ -34,8 +34,8 @@ def check_amount(recording: Recording, template: NamedTemplate) -> None:
     where, content = recording.path, template.content
     if recording.frames < LEAST_FRAMES:
         raise BadRecordingError(
-            f"{where}: {recording.frames} frames are too few for a calibration, which needs at least {LEAST_FRAMES} and "
-            "should show every joint move through its range; record the calibration motions",
+            f"{where}: {recording.frames} frames are too few for a calibration, which needs at least {LEAST_FRAMES} "
+            "and should show every joint move through its range; record the calibration motions",
             ErrorCode.NOT_ENOUGH_DATA,
         )
     seen = np.isfinite(recording.positions[:, :, 0]).mean(axis=0) >= SEEN_SHARE
@@ -58,8 +58,8 @@ def input_problems(recording: Recording, world_from_torso: FloatArray | None, te
 
     Args:
         recording: The frames.
-        world_from_torso: Torso pose of each frame (x forward, y left), shape (frames, 4, 4), NaN where unknown; None: no
-            torso is known.
+        world_from_torso: Torso pose of each frame (x forward, y left), shape (frames, 4, 4), NaN where unknown; None:
+            no torso is known.
         template: The tree.
     """
     problems = unit_problems(recording)
@@ -93,8 +93,8 @@ def unit_problems(recording: Recording) -> list[str]:
             distance = float(np.nanmedian(np.linalg.norm(typical[others] - typical[i], axis=1)))
             if distance > LARGEST_SEGMENT:
                 problems.append(
-                    f"marker {recording.names[row]} lies {distance:.3g} m from the other markers of {segment}: is its unit "
-                    "another one, or does it sit on another segment?"
+                    f"marker {recording.names[row]} lies {distance:.3g} m from the other markers of {segment}: is its "
+                    "unit another one, or does it sit on another segment?"
                 )
     return problems
 
@@ -116,8 +116,8 @@ def rigidity_problems(recording: Recording, template: NamedTemplate) -> list[str
                     worst = spread, f"{recording.names[i]} and {recording.names[j]}"
         if worst[0] > 2.0 * LARGEST_BEND:
             problems.append(
-                f"markers {worst[1]} of {segment} change their distance by {1e3 * worst[0]:.0f} mm, so they are not on one "
-                "rigid segment: look for swapped labels, or change their segment in the marker set"
+                f"markers {worst[1]} of {segment} change their distance by {1e3 * worst[0]:.0f} mm, so they are not on "
+                "one rigid segment: look for swapped labels, or change their segment in the marker set"
             )
     return problems
 
@@ -139,8 +139,8 @@ def side_problems(recording: Recording, world_from_torso: FloatArray | None, tem
         wrong = float(np.mean(lateral < 0.0 if side == "left" else lateral > 0.0)) if len(lateral) else 0.0
         if wrong > WRONG_SIDE_SHARE:
             problems.append(
-                f"the markers of {segment} are on the other side of the torso in {100 * wrong:.0f} % of the frames: left and "
-                "right are swapped; swap the labels of the arms, or those of the torso"
+                f"the markers of {segment} are on the other side of the torso in {100 * wrong:.0f} % of the frames: "
+                "left and right are swapped; swap the labels of the arms, or those of the torso"
             )
     return problems
 
@@ -154,8 +154,9 @@ def fit_problems(
         worst = sorted((value, name) for name, value in marker_rms.items() if np.isfinite(value))[-3:]
         names = ", ".join(f"{name} {1e3 * value:.0f} mm" for value, name in reversed(worst))
         problems.append(
-            f"the skeleton does not explain the markers: {1e3 * fit_rms:.1f} mm rms (limit {1e3 * LARGEST_FIT_RMS:.0f} mm), worst "
-            f"{names}; look for swapped labels (left and right?), loose markers, or choose another template"
+            f"the skeleton does not explain the markers: {1e3 * fit_rms:.1f} mm rms (limit "
+            f"{1e3 * LARGEST_FIT_RMS:.0f} mm), worst {names}; look for swapped labels (left and right?), "
+            "loose markers, or choose another template"
         )
     for joint in template.content.joints:
         if not joint.one_way or joint.displacements[0] not in skeleton.displacement_names:
@@ -164,8 +165,8 @@ def fit_problems(
         low, high = skeleton.lower[index], skeleton.upper[index]
         if low < -BACKWARDS and -low > 2.0 * high:
             problems.append(
-                f"{joint.displacements[0]} bends backwards by {np.rad2deg(-low):.0f} deg from standing: left and right of the "
-                "torso, or its front and back, are swapped; mend the labels"
+                f"{joint.displacements[0]} bends backwards by {np.rad2deg(-low):.0f} deg from standing: left and right "
+                "of the torso, or its front and back, are swapped; mend the labels"
             )
     return problems
 
@@ -195,7 +196,8 @@ def certainty_advice(names: list[str], axis_errors: FloatArray, point_errors: Fl
             )
         elif point > LARGEST_POINT_ERROR:
             advice.append(
-                f"the place of {words} is known to {1e3 * min(point, 1.0):.0f} mm only: move it farther, in all its directions"
+                f"the place of {words} is known to {1e3 * min(point, 1.0):.0f} mm only: move it farther, in all its "
+                "directions"
             )
     return advice
 

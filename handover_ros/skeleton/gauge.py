@@ -27,9 +27,10 @@ def mean_posture(tree: FlatTree, coordinates: FloatArray) -> FloatArray:
 
 
 def with_zero_at(tree: FlatTree, coordinates: FloatArray, posture: FloatArray) -> tuple[FlatTree, FloatArray]:
-    """Return the tree and its postures (frames, nq) with ``posture`` (nq,) as the zero posture; the root's part is not used.
+    """Return the tree and its postures (frames, nq) with ``posture`` (nq,) as the zero posture.
 
-    In the new zero frame every axis, point and marker stands where it stood at that posture.
+    The root's part of ``posture`` is not used. In the new zero frame every axis, point and marker stands where it stood
+    at that posture.
     """
     at = zero_coordinates(tree)
     own = np.array(posture, dtype=float)
@@ -98,7 +99,7 @@ def within_a_turn(tree: FlatTree, coordinates: FloatArray) -> FloatArray:
 
 
 def gauge_directions(tree: FlatTree, layout: Layout) -> FloatArray:
-    """Return the parameter changes (count, number of tangents) that only move the zero of a displacement or of the root."""
+    """Return the parameter changes (count, tangents) that only move the zero of a displacement or of the root."""
     chains = ancestors(tree)
     columns = []
     for j, kind in enumerate(tree.kind):

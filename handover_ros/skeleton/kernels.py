@@ -20,7 +20,7 @@ SMALL_ANGLE = 1e-8
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def turn_about(axis, angle, out):
+def turn_about(axis: FloatArray, angle: float, out: FloatArray) -> None:
     """Fill ``out`` (3, 3) with the rotation about a unit axis (Rodrigues)."""
     x, y, z = axis[0], axis[1], axis[2]
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -31,7 +31,7 @@ def turn_about(axis, angle, out):
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def turn_of_quaternion(q, start, out):
+def turn_of_quaternion(q: FloatArray, start: int, out: FloatArray) -> None:
     """Fill ``out`` (3, 3) with the rotation of the unit quaternion q[start:start + 4] = (x, y, z, w)."""
     x, y, z, w = q[start], q[start + 1], q[start + 2], q[start + 3]
     out[0, 0], out[0, 1], out[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
@@ -40,7 +40,9 @@ def turn_of_quaternion(q, start, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def joint_poses(tree, q, rotation, translation, local):
+def joint_poses(
+    tree: FlatTree, q: FloatArray, rotation: FloatArray, translation: FloatArray, local: FloatArray
+) -> None:
     """Fill the poses of all segments at the coordinates q (nq,).
 
     Args:
@@ -91,7 +93,7 @@ def joint_poses(tree, q, rotation, translation, local):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def place_markers(tree, rotation, translation, out):
+def place_markers(tree: FlatTree, rotation: FloatArray, translation: FloatArray, out: FloatArray) -> None:
     """Fill ``out`` (m, 3) with the markers' world positions [m] (eq. 2.4)."""
     for i in range(tree.marker.shape[0]):
         j = tree.marker_joint[i] + 1
@@ -101,7 +103,7 @@ def place_markers(tree, rotation, translation, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def marker_positions(tree, coordinates):
+def marker_positions(tree: FlatTree, coordinates: FloatArray) -> FloatArray:
     """Return world positions (frames, m, 3) [m] of all markers at coordinates (frames, nq)."""
     joints = tree.kind.shape[0]
     rotation, translation = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3))
@@ -114,7 +116,7 @@ def marker_positions(tree, coordinates):
 
 
 @numba.njit(cache=True, nogil=True)
-def segment_poses(tree, coordinates):
+def segment_poses(tree: FlatTree, coordinates: FloatArray) -> FloatArray:
     """Return world_from_zero of all segments, (frames, joints, 4, 4), at coordinates (frames, nq)."""
     joints = tree.kind.shape[0]
     rotation, translation = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3))
@@ -130,7 +132,7 @@ def segment_poses(tree, coordinates):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def turn_quaternion(q, start, x, y, z):
+def turn_quaternion(q: FloatArray, start: int, x: float, y: float, z: float) -> None:
     """Turn q[start:start + 4] by the rotation vector (x, y, z) [rad] from the left, and normalise it."""
     angle = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if angle < SMALL_ANGLE else math.sin(0.5 * angle) / angle
@@ -145,7 +147,7 @@ def turn_quaternion(q, start, x, y, z):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def move(tree, q, step):
+def move(tree: FlatTree, q: FloatArray, step: FloatArray) -> None:
     """Move coordinates q (nq,) in place by a tangent vector (nv,)."""
     for j in range(tree.kind.shape[0]):
         kind, c, v = tree.kind[j], tree.coordinate[j], tree.tangent[j]
@@ -160,7 +162,7 @@ def move(tree, q, step):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def difference(tree, q, base, out):
+def difference(tree: FlatTree, q: FloatArray, base: FloatArray, out: FloatArray) -> None:
     """Fill ``out`` (nv,) with the tangent that moves ``base`` (nq,) to ``q`` (nq,): the inverse of ``move``."""
     for j in range(tree.kind.shape[0]):
         kind, c, v = tree.kind[j], tree.coordinate[j], tree.tangent[j]
@@ -175,7 +177,7 @@ def difference(tree, q, base, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def quaternion_difference(q, base, c, out, v):
+def quaternion_difference(q: FloatArray, base: FloatArray, c: int, out: FloatArray, v: int) -> None:
     """Fill out[v:v + 3] with the rotation vector [rad] that turns base[c:c + 4] into q[c:c + 4] from the left."""
     ax, ay, az, aw = q[c], q[c + 1], q[c + 2], q[c + 3]
     bx, by, bz, bw = -base[c], -base[c + 1], -base[c + 2], base[c + 3]

@@ -1,8 +1,8 @@
 """Which numbers of a skeleton are estimated, and how small changes of them move its axes, points and markers.
 
-A joint's parameters r and the map t: r -> twists of eq. 2.12, with the gauge taken out: a revolute joint has 4 parameters
-(its axis tilts in two directions and shifts in two), a prismatic joint 2, a ball joint the 3 of its centre. Two joints
-whose axes meet share the 3 of their common point. A marker has 3.
+A joint's parameters r and the map t: r -> twists of eq. 2.12, with the gauge taken out: a revolute joint has 4
+parameters (its axis tilts in two directions and shifts in two), a prismatic joint 2, a ball joint the 3 of its centre.
+Two joints whose axes meet share the 3 of their common point. A marker has 3.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Layout(NamedTuple):
     point_size: IntArray  # (joints,) number of columns
     point_basis: FloatArray  # (joints, 3, 3)
     marker_column: IntArray  # (m,) first of 3
-    count: int
+    count: int  # type: ignore[assignment]  # a tuple's count is not used
 
 
 def parameter_layout(

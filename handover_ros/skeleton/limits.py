@@ -24,7 +24,7 @@ def smoothed(displacements: FloatArray, rate: float) -> FloatArray:
         displacements: One row for each frame, evenly spaced in time.
         rate: Frames per second [Hz].
     """
-    window = int(round(SMOOTHING * rate)) | 1
+    window = round(SMOOTHING * rate) | 1
     if window < SHORTEST_WINDOW or len(displacements) < 2 * window:
         return displacements
     steady = median_filter(displacements, size=(3, 1), mode="nearest")

@@ -1,9 +1,10 @@
-"""Compiled normal equations of prediction error minimisation (eq. 2.5, 2.6), with the posture of every frame eliminated.
+"""Compiled normal equations of prediction error minimisation (eq. 2.5, 2.6), every frame's posture eliminated.
 
-The unknowns are the parameters x (twists, markers) and the tangent t_k of each frame's posture. A frame's markers depend
-on its own t_k only, so J^T J is an arrow: blocks A_k = L_k L_k^T of the frames, a border B_k, and C for the parameters.
-With W_k = L_k^-1 B_k and y_k = L_k^-1 b_k the parameters solve (C - sum W_k^T W_k) dx = -(c - sum W_k^T y_k), and then
-dt_k = -L_k^-T (y_k + W_k dx). Time and memory are linear in the number of frames.
+The unknowns are the parameters x (twists, markers) and the tangent t_k of each frame's posture. A frame's markers
+depend on its own t_k only, so J^T J is an arrow: blocks A_k = L_k L_k^T of the frames, a border B_k, and C for the
+parameters. With W_k = L_k^-1 B_k and y_k = L_k^-1 b_k the parameters solve
+(C - sum W_k^T W_k) dx = -(c - sum W_k^T y_k), and then dt_k = -L_k^-T (y_k + W_k dx). Time and
+memory are linear in the number of frames.
 """
 
 from __future__ import annotations
@@ -13,14 +14,19 @@ import math
 import numba
 import numpy as np
 
+from handover_ros.geometry import FloatArray
 from handover_ros.skeleton.kernels import BALL, FREE, PRISMATIC, REVOLUTE, joint_poses, move
+from handover_ros.skeleton.layout import Layout
+from handover_ros.skeleton.tree import FlatTree, IntArray
 
 STEP_DAMPING = 1e-6  # [m^2] a posture that no marker sees does not move
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def tangent_twists(tree, j, rotation, translation, q, out):
-    """Fill ``out`` (6, 6) with the world twists (linear, angular) of joint j's tangents, one a row; return their number.
+def tangent_twists(
+    tree: FlatTree, j: int, rotation: FloatArray, translation: FloatArray, q: FloatArray, out: FloatArray
+) -> int:
+    """Fill ``out`` (6, 6) with the world twists (linear, angular) of joint j's tangents; return how many rows.
 
     A twist (v, w) moves a world point x by v + w x x: the adjoint column of the dissertation's D_theta.
     """
@@ -57,19 +63,29 @@ def tangent_twists(tree, j, rotation, translation, q, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def turn_twist(twist, cx, cy, cz):
+def turn_twist(twist: FloatArray, cx: float, cy: float, cz: float) -> None:
     """Set the linear part of a twist (6,) so that the point (cx, cy, cz) stays: v = c x w."""
     wx, wy, wz = twist[3], twist[4], twist[5]
     twist[0], twist[1], twist[2] = cy * wz - cz * wy, cz * wx - cx * wz, cx * wy - cy * wx
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def parameter_twists(tree, layout, j, rotation, translation, q, columns, out):
+def parameter_twists(
+    tree: FlatTree,
+    layout: Layout,
+    j: int,
+    rotation: FloatArray,
+    translation: FloatArray,
+    q: FloatArray,
+    columns: IntArray,
+    out: FloatArray,
+) -> int:
     """Fill ``out`` (5, 6) with the world twists of joint j's parameters and ``columns`` (5,); return their number.
 
     With the joint turning by theta about w through c in its parent's frame R_p: a shift b of the centre moves what it
-    carries by R_p b - R_j b, a tilt b of the axis turns it about the centre by R_p (sin(theta) b + (1 - cos(theta)) w x b),
-    a tilt of a prismatic axis shifts it by theta R_p b: the matrices A_j of the dissertation's D_xi, in closed form.
+    carries by R_p b - R_j b, a tilt b of the axis turns it about the centre by
+    R_p (sin(theta) b + (1 - cos(theta)) w x b), a tilt of a prismatic axis shifts it by theta R_p b: the matrices A_j
+    of the dissertation's D_xi, in closed form.
     """
     p = tree.parent[j] + 1
     kind = tree.kind[j]
@@ -114,7 +130,7 @@ def parameter_twists(tree, layout, j, rotation, translation, q, columns, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add_marker(moment, wrench, x, error, weight):
+def add_marker(moment: FloatArray, wrench: FloatArray, x: FloatArray, error: FloatArray, weight: float) -> None:
     """Add one marker at x (3,) with its error (3,) to what its segment carries.
 
     moment (6, 6) becomes the sum of w [1, -x^]^T [1, -x^], upper triangle, wrench (6,) that of w [e, x x e].
@@ -145,7 +161,7 @@ def add_marker(moment, wrench, x, error, weight):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def robust_loss(squared, inverse_scale):
+def robust_loss(squared: float, inverse_scale: float) -> tuple[float, float]:
     """Return the Cauchy loss of a squared distance and its weight; inverse_scale [1/m^2] 0: the square itself."""
     if inverse_scale == 0.0:
         return squared, 1.0
@@ -154,7 +170,7 @@ def robust_loss(squared, inverse_scale):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def cholesky_in_place(a):
+def cholesky_in_place(a: FloatArray) -> bool:
     """Replace a positive definite matrix (n, n) by its lower Cholesky factor; return whether that worked."""
     n = a.shape[0]
     for i in range(n):
@@ -173,7 +189,21 @@ def cholesky_in_place(a):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def eliminate_frames(tree, chains, layout, q, observed, inverse_scale, damping, frozen, c_block, c_vector, l, w, y):
+def eliminate_frames(
+    tree: FlatTree,
+    chains: IntArray,
+    layout: Layout,
+    q: FloatArray,
+    observed: FloatArray,
+    inverse_scale: float,
+    damping: float,
+    frozen: int,
+    c_block: FloatArray,
+    c_vector: FloatArray,
+    factors: FloatArray,
+    borders: FloatArray,
+    rights: FloatArray,
+) -> float:
     """Build the normal equations of some frames and eliminate their postures; return their loss [m^2].
 
     Args:
@@ -187,11 +217,11 @@ def eliminate_frames(tree, chains, layout, q, observed, inverse_scale, damping, 
         frozen: Frame whose posture is held (it fixes the gauge), -1: none.
         c_block: Added to: undamped C, upper triangle, shape (count, count).
         c_vector: Added to: c, shape (count,).
-        l: Filled with L_k, shape (frames, nv, nv).
-        w: Filled with W_k, shape (frames, nv, count).
-        y: Filled with y_k, shape (frames, nv).
+        factors: Filled with L_k, shape (frames, nv, nv).
+        borders: Filled with W_k, shape (frames, nv, count).
+        rights: Filled with y_k, shape (frames, nv).
     """
-    joints, count, nv = tree.kind.shape[0], layout.count, y.shape[1]
+    joints, count, nv = tree.kind.shape[0], layout.count, rights.shape[1]
     depth = chains.shape[1]
     rotation, translation = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3))
     local = np.empty((joints, 3, 3))
@@ -203,7 +233,7 @@ def eliminate_frames(tree, chains, layout, q, observed, inverse_scale, damping, 
     x, error, carried = np.empty(3), np.empty(3), np.empty(6)
     total = 0.0
     for k in range(q.shape[0]):
-        a, b, v = l[k], w[k], y[k]
+        a, b, v = factors[k], borders[k], rights[k]
         a[:] = 0.0
         b[:] = 0.0
         v[:] = 0.0
@@ -323,7 +353,7 @@ def eliminate_frames(tree, chains, layout, q, observed, inverse_scale, damping, 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def product(first, second):
+def product(first: FloatArray, second: FloatArray) -> float:
     """Return the scalar product of two vectors (6,)."""
     return (
         first[0] * second[0]
@@ -336,15 +366,17 @@ def product(first, second):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def subtract(row, factor, other):
+def subtract(row: FloatArray, factor: float, other: FloatArray) -> None:
     """Subtract factor * other from row, in place."""
     for c in range(row.shape[0]):
         row[c] -= factor * other[c]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def add_marker_row(row, column, twist, x, turn, weight):
-    """Add to row[column:column + 3] what a twist's motion of a marker at x has in common with the marker's own shift."""
+def add_marker_row(
+    row: FloatArray, column: int, twist: FloatArray, x: FloatArray, turn: FloatArray, weight: float
+) -> None:
+    """Add to row[column:column + 3] the products of a twist's motion of a marker at x and the marker's own shifts."""
     dx = weight * (twist[0] + twist[4] * x[2] - twist[5] * x[1])
     dy = weight * (twist[1] + twist[5] * x[0] - twist[3] * x[2])
     dz = weight * (twist[2] + twist[3] * x[1] - twist[4] * x[0])
@@ -353,23 +385,31 @@ def add_marker_row(row, column, twist, x, turn, weight):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def substitute_frames(tree, q, l, w, y, step, result):
+def substitute_frames(
+    tree: FlatTree,
+    q: FloatArray,
+    factors: FloatArray,
+    borders: FloatArray,
+    rights: FloatArray,
+    step: FloatArray,
+    result: FloatArray,
+) -> float:
     """Fill ``result`` (frames, nq) with q moved by dt_k = -L_k^-T (y_k + W_k dx); return the sum of |L_k^T dt_k|^2."""
-    nv = y.shape[1]
+    nv = rights.shape[1]
     right = np.empty(nv)
     norm = 0.0
     for k in range(q.shape[0]):
         for s in range(nv):
-            total = y[k, s]
+            total = rights[k, s]
             for c in range(step.shape[0]):
-                total += w[k, s, c] * step[c]
+                total += borders[k, s, c] * step[c]
             right[s] = -total
             norm += total * total
         for s in range(nv - 1, -1, -1):
             total = right[s]
             for u in range(s + 1, nv):
-                total -= l[k, u, s] * right[u]
-            right[s] = total / l[k, s, s]
+                total -= factors[k, u, s] * right[u]
+            right[s] = total / factors[k, s, s]
         result[k] = q[k]
         move(tree, result[k], right)
     return norm

@@ -10,7 +10,7 @@ import numpy as np
 from handover_ros.geometry import FloatArray
 from handover_ros.skeleton.kernels import BALL, FREE, REVOLUTE, ancestors, joint_poses, move
 from handover_ros.skeleton.normal_equations import add_marker, cholesky_in_place, product, robust_loss, tangent_twists
-from handover_ros.skeleton.tree import FlatTree
+from handover_ros.skeleton.tree import FlatTree, IntArray
 
 FIRST_DAMPING = 1e-3
 STILL = 1e-9  # [m^2] a posture that no marker sees stays where it is
@@ -23,7 +23,15 @@ FAR = 2.2  # [rad]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def frame_equations(tree, chains, q, observed, inverse_scale, a, v):
+def frame_equations(
+    tree: FlatTree,
+    chains: IntArray,
+    q: FloatArray,
+    observed: FloatArray,
+    inverse_scale: float,
+    a: FloatArray,
+    v: FloatArray,
+) -> float:
     """Fill J^T J (nv, nv), lower triangle, and J^T e (nv,) of one frame and return its loss [m^2].
 
     Args as in ``normal_equations.eliminate_frames``, for one frame: q (nq,), observed (m, 3).
@@ -80,7 +88,9 @@ def frame_equations(tree, chains, q, observed, inverse_scale, a, v):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def solve_frame(tree, chains, q, observed, inverse_scale, iterations):
+def solve_frame(
+    tree: FlatTree, chains: IntArray, q: FloatArray, observed: FloatArray, inverse_scale: float, iterations: int
+) -> float:
     """Move q (nq,) in place to the nearest minimum of one frame's loss and return it [m^2]."""
     nv = 0
     for j in range(tree.kind.shape[0]):
@@ -126,7 +136,7 @@ def solve_frame(tree, chains, q, observed, inverse_scale, iterations):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def turned_far(tree, q):
+def turned_far(tree: FlatTree, q: FloatArray) -> tuple[float, float]:
     """Return the sum of squares and the largest of the revolute displacements [rad] of a posture q (nq,)."""
     total, largest = 0.0, 0.0
     for j in range(tree.kind.shape[0]):
@@ -138,11 +148,21 @@ def turned_far(tree, q):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def solve_in_order(tree, chains, q, observed, inverse_scale, iterations, order, neighbour, losses):
+def solve_in_order(
+    tree: FlatTree,
+    chains: IntArray,
+    q: FloatArray,
+    observed: FloatArray,
+    inverse_scale: float,
+    iterations: int,
+    order: IntArray,
+    neighbour: IntArray,
+    losses: FloatArray,
+) -> None:
     """Solve frames in ``order``, each from its own guess or from its neighbour's solution, whichever fits better.
 
-    Where few markers are seen two postures may fit equally well; the one nearer to the zero posture is taken then, and a
-    posture with a joint turned very far is tried again from zero.
+    Where few markers are seen two postures may fit equally well; the one nearer to the zero posture is taken then, and
+    a posture with a joint turned very far is tried again from zero.
 
     Args:
         tree: The skeleton.
@@ -182,7 +202,7 @@ def solve_in_order(tree, chains, q, observed, inverse_scale, iterations, order, 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def frame_losses(tree, q, observed, inverse_scale, losses):
+def frame_losses(tree: FlatTree, q: FloatArray, observed: FloatArray, inverse_scale: float, losses: FloatArray) -> None:
     """Fill the loss of each frame (frames,) [m^2]; q (frames, nq), observed (frames, m, 3), NaN = not measured."""
     joints = tree.kind.shape[0]
     rotation, translation = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3))
@@ -205,7 +225,17 @@ def frame_losses(tree, q, observed, inverse_scale, losses):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def settle_frames(tree, chains, q, before, observed, inverse_scale, previous, frozen, losses):
+def settle_frames(
+    tree: FlatTree,
+    chains: IntArray,
+    q: FloatArray,
+    before: FloatArray,
+    observed: FloatArray,
+    inverse_scale: float,
+    previous: FloatArray,
+    frozen: int,
+    losses: FloatArray,
+) -> None:
     """Fill the losses of frames after a common step; a frame that got worse is solved again by itself.
 
     A frame in which few markers are seen bends more than a linear step allows; one such frame must not make the whole

@@ -6,6 +6,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
@@ -88,12 +89,12 @@ class NormalEquations:
         frames = len(observed)
         self.inverse_scale = 0.0 if np.isinf(robust_scale) else 1.0 / robust_scale**2
         self.frozen = frozen
-        self._l = np.empty((frames, tangents, tangents))
-        self._w = np.empty((frames, tangents, layout.count))
-        self._y = np.empty((frames, tangents))
+        self._factors = np.empty((frames, tangents, tangents))
+        self._borders = np.empty((frames, tangents, layout.count))
+        self._rights = np.empty((frames, tangents))
         chunks = CHUNKS if frames >= FEW_FRAMES else 1
         bounds = np.linspace(0, frames, chunks + 1).astype(int)
-        self._slices = [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:])]
+        self._slices = [slice(a, b) for a, b in pairwise(bounds)]
         self._pool = ThreadPoolExecutor(min(chunks, os.cpu_count() or 1)) if chunks > 1 else None
 
     def close(self) -> None:
@@ -120,7 +121,7 @@ class NormalEquations:
         def work(part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
             c_block, c_vector = np.zeros((count, count)), np.zeros(count)
             frozen = self.frozen - part.start if part.start <= self.frozen < part.stop else -1
-            l, w, y = self._l[part], self._w[part], self._y[part]
+            factors, borders, rights = self._factors[part], self._borders[part], self._rights[part]
             eliminate_frames(
                 tree,
                 chains,
@@ -132,14 +133,14 @@ class NormalEquations:
                 frozen,
                 c_block,
                 c_vector,
-                l,
-                w,
-                y,
+                factors,
+                borders,
+                rights,
             )
-            border = w.reshape(w.shape[0] * w.shape[1], count)
+            border = borders.reshape(borders.shape[0] * borders.shape[1], count)
             diagonal = c_block.diagonal().copy()
             matrix = c_block + np.triu(c_block, 1).T - border.T @ border
-            return matrix, c_vector - border.T @ y.ravel(), diagonal
+            return matrix, c_vector - border.T @ rights.ravel(), diagonal
 
         parts = self._map(work, self._slices)
         matrix, vector, diagonal = (np.sum([part[index] for part in parts], axis=0) for index in range(3))
@@ -155,7 +156,7 @@ class NormalEquations:
         def work(part: slice) -> None:
             frozen = self.frozen - part.start if part.start <= self.frozen < part.stop else -1
             before, after = coordinates[part], result[part]
-            substitute_frames(tree, before, self._l[part], self._w[part], self._y[part], step, after)
+            substitute_frames(tree, before, self._factors[part], self._borders[part], self._rights[part], step, after)
             settle_frames(
                 trial_tree,
                 chains,
@@ -173,7 +174,7 @@ class NormalEquations:
 
     def promised(self, vector: FloatArray, step: FloatArray) -> float:
         """Return the decrease of the squared error that the linear model of the last ``build`` promises."""
-        return float(np.sum(self._y**2) - vector @ step)
+        return float(np.sum(self._rights**2) - vector @ step)
 
     def _map(self, function, parts):  # type: ignore[no-untyped-def]
         return list(self._pool.map(function, parts)) if self._pool else [function(part) for part in parts]

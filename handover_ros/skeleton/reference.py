@@ -1,4 +1,4 @@
-"""The skeleton's mathematics as the dissertation writes it: plain, slow, and what the compiled code is tested against."""
+"""The skeleton's mathematics as the dissertation writes it: plain, slow, the twin of the compiled code."""
 
 from __future__ import annotations
 

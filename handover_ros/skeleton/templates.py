@@ -1,4 +1,4 @@
-"""Templates: the tree of a kind of skeleton, without any length, axis or limit; one YAML file each in config/skeletons."""
+"""Templates: the tree of a kind of skeleton, without lengths, axes or limits; a YAML file each in config/skeletons."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class TemplateJoint(Schema):
     ``positive`` gives, for each displacement, the direction (root frame: x forward, y left, z up) about or along which
     it counts positive. For a ball joint these directions are its axes in sequence; for other joints only the sign is
     taken from it, the axis itself is fitted. ``meets``: a joint whose axis this one's axis meets in a point. ``side``
-    says on which side of the body the joint lies, and ``one_way`` that from standing it moves to the positive side only (an
-    elbow), to notice when left and right are swapped.
+    says on which side of the body the joint lies, and ``one_way`` that from standing it moves to the positive side only
+    (an elbow), to notice when left and right are swapped.
     """
 
     name: Name
@@ -158,7 +158,8 @@ def blank_skeleton(template: NamedTemplate, names: tuple[str, ...], segments: tu
     if content.root != WORLD and used.count(content.root) < MINIMUM_ROOT_MARKERS:
         raise BadRecordingError(
             f"skeleton template {template.name!r} needs at least {MINIMUM_ROOT_MARKERS} markers on segment "
-            f"{content.root!r}, the marker set has {used.count(content.root)}; add markers there or choose another template",
+            f"{content.root!r}, the marker set has {used.count(content.root)}; add markers there or choose another "
+            "template",
             ErrorCode.NOT_ENOUGH_DATA,
         )
     ends = [segment for segment in content.segments if segment not in {joint.parent for joint in content.joints}]

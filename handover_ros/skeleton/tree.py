@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_ros.errors import BadModelError, UnknownNameError
 from handover_ros.geometry import FloatArray
-from handover_ros.skeleton.angles import euler_angles, rotation_of
+from handover_ros.skeleton.angles import euler_angles, euler_rates, rotation_of
 
 IntArray = npt.NDArray[np.int64]
 
@@ -102,7 +102,7 @@ class Joint:
 
     @property
     def twists(self) -> FloatArray:
-        """Twists (linear, angular) of the displacements in the zero frame, shape (n, 6): xi of eq. 2.1, the map 2.12."""
+        """Twists (linear, angular) of the displacements in the zero frame (n, 6): xi of eq. 2.1, the map 2.12."""
         if self.kind is JointKind.PRISMATIC:
             return np.concatenate([self.axes, np.zeros_like(self.axes)], axis=1)
         return np.concatenate([np.cross(self.point, self.axes), self.axes], axis=1)
@@ -149,7 +149,8 @@ class Skeleton:
         """Check that it is a tree and that all shapes fit.
 
         Raises:
-            BadModelError: A parent is unknown or comes later, a name appears twice, limits cross, a number is not finite.
+            BadModelError: A parent is unknown or comes later, a name appears twice, limits cross, or a number is not
+                finite.
         """
         known = {WORLD}
         for index, joint in enumerate(self.joints):
@@ -291,7 +292,7 @@ class Skeleton:
         return np.where(known, 0.5 * (np.where(known, self.lower, 0.0) + np.where(known, self.upper, 0.0)), 0.0)
 
     def coordinates(self, displacements: npt.ArrayLike, world_from_root: FloatArray | None = None) -> FloatArray:
-        """Return coordinates (..., nq) of displacements (..., n) [rad, m] and a root pose (..., 4, 4) (default: origin)."""
+        """Return coordinates (..., nq) of displacements (..., n) [rad, m] and root poses (..., 4, 4), if not at 0."""
         values = np.asarray(displacements, dtype=float)
         result = np.zeros((*values.shape[:-1], self.size[0]))
         for index, joint in enumerate(self.joints):
@@ -326,6 +327,17 @@ class Skeleton:
             elif joint.kind is not JointKind.FREE:
                 result[..., own] = values[..., start : start + 1]
         return result
+
+    def displacement_mapping(self, displacements: FloatArray) -> FloatArray:
+        """Return d(displacements)/d(tangents) (..., n, nv) at displacements (..., n)."""
+        mapping = np.zeros((*displacements.shape, self.size[1]))
+        for index, joint in enumerate(self.joints):
+            own, tangent = self.slice_of(index), self.tangent_slice(index)
+            if joint.kind is JointKind.BALL:
+                mapping[..., own, tangent] = euler_rates(joint.axes, displacements[..., own])
+            elif joint.kind is not JointKind.FREE:
+                mapping[..., own, tangent] = 1.0
+        return mapping
 
     def world_from_root(self, coordinates: FloatArray) -> FloatArray:
         """Return the root's pose (..., 4, 4) in the world; the identity for a root that is not free."""
