@@ -264,8 +264,8 @@ def fit_group(
             hinted[turning] = hints[turning]
             others.append(trial.fit(blank._replace(axis=hinted)))
         tried += len(others)
-        others = [each for each in others if other_axes(each[1], best[1], turning)]
-        found = sorted([best, *others], key=lambda each: each[0])
+        tries = sorted([best, *others], key=lambda each: each[0])
+        found = [tries[0], *(each for each in tries[1:] if other_axes(each[1], tries[0][1], turning))]
     rivals = [each for each in found[1:4] if each[0] < RIVAL * found[0][0]]
     fits = []
     for sigma, own, q in [found[0], *rivals]:

@@ -107,7 +107,10 @@ def calibration_motion(
     for block in range(per_arm):
         start, stop = bounds[block], bounds[block + 1]
         phase = np.linspace(0.0, 1.0, stop - start)
-        blend = np.minimum(1.0, 8.0 * np.minimum(phase, 1.0 - phase))
+        ramp = np.clip(
+            np.minimum(phase, 1.0 - phase) * (stop - start) / rate / min(0.6, 0.2 * (stop - start) / rate), 0.0, 1.0
+        )
+        blend = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)  # minimum jerk
         for arm in range(count // per_arm):
             own = arm * per_arm + block
             low, high = skeleton.lower[own], skeleton.upper[own]
