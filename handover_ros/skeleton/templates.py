@@ -183,7 +183,7 @@ def blank_skeleton(template: NamedTemplate, names: tuple[str, ...], segments: tu
         for joint in content.joints
     ]
     if content.root != WORLD:
-        root = Joint(content.root, JointKind.FREE, WORLD, content.root, (), np.zeros((0, 3)), np.zeros(3))
+        root = Joint(f"{content.root}_root", JointKind.FREE, WORLD, content.root, (), np.zeros((0, 3)), np.zeros(3))
         joints.insert(0, root)
     count = sum(len(joint.displacement_names) for joint in joints)
     return Skeleton(

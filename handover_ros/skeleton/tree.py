@@ -161,6 +161,9 @@ class Skeleton:
             if joint.kind is JointKind.FREE and (index or joint.parent != WORLD):
                 raise BadModelError(f"joint {joint.name!r}: only the root can be free")
             known.add(joint.segment)
+        joint_names = [joint.name for joint in self.joints]
+        if twice := [name for name in joint_names if joint_names.count(name) > 1]:
+            raise BadModelError(f"joint {twice[0]!r} appears twice")
         names = self.displacement_names
         if repeated := {name for name in names if names.count(name) > 1}:
             raise BadModelError(f"displacement {sorted(repeated)[0]!r} appears twice")
