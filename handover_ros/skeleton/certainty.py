@@ -21,8 +21,9 @@ def standard_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Return standard errors (joints,) of every joint's axis [rad] and point [m]; 0 where not estimated.
 
-    The inverse of the reduced normal matrix, with one frame's posture held, projected so that no freedom of the zero
-    posture enters (an S-transformation to the inner-constraint datum, Baarda 1973).
+    The inverse of the reduced normal matrix, with one frame's posture held, transformed so that no freedom of the zero
+    posture enters (an S-transformation to the inner-constraint datum of the markers, Baarda 1973). Axes and points have
+    no part in the datum: the axis of a joint that did not move is not known at all, and would spoil the others.
 
     Args:
         tree: The fitted tree.
@@ -43,9 +44,9 @@ def standard_errors(
     values, vectors = np.linalg.eigh(matrix)
     values = np.maximum(values, UNKNOWN * values[-1])
     directions = gauge_directions(tree, layout)
-    basis, singular, _ = np.linalg.svd(directions, full_matrices=False)
-    basis = basis[:, singular > 1e-9 * singular[0]]
-    root = (vectors - basis @ (basis.T @ vectors)) / np.sqrt(values)
+    markers = (layout.marker_column[layout.marker_column >= 0][:, None] + np.arange(3)).ravel()
+    datum = np.linalg.pinv(directions[markers], rcond=UNKNOWN)
+    root = (vectors - directions @ (datum @ vectors[markers])) / np.sqrt(values)
     covariance = noise**2 * (root @ root.T)
     axis_errors, point_errors = np.zeros(len(tree.kind)), np.zeros(len(tree.kind))
     for j in range(len(tree.kind)):
