@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -24,15 +24,17 @@ from handover_ros.skeleton.checks import (
     motion_advice,
 )
 from handover_ros.skeleton.gauge import mean_posture, with_root_frame, with_signs, with_zero_at, within_a_turn
-from handover_ros.skeleton.initial import Group, GroupFit, InitialGuess, first_guess, place_group, rigid_motion, spread
+from handover_ros.skeleton.initial import Group, GroupFit, InitialGuess, first_guess, place_group, spread
 from handover_ros.skeleton.kernels import forward
 from handover_ros.skeleton.layout import Layout, parameter_layout
 from handover_ros.skeleton.limits import estimate_limits
 from handover_ros.skeleton.postures import solve_postures
 from handover_ros.skeleton.prediction_error import Fit, FitSettings, minimise
+from handover_ros.skeleton.rigid_motion import rigid_motion
 from handover_ros.skeleton.templates import NamedTemplate, blank_skeleton
 from handover_ros.skeleton.torso_template import TemplateError, TorsoMarkers, estimate_template
 from handover_ros.skeleton.tree import FlatTree, Skeleton
+from handover_ros.skeleton.wishes import Wishes, wish_strength
 
 COARSE_FRAMES = 120
 COARSE_SCALE = 0.03  # [m] robust scale while the noise is not known
@@ -123,23 +125,37 @@ def calibrate(
     reference = nearest(fitted, (still[0] + still[1]) // 2)
     meets = meeting_joints(blank, template)
     layout = parameter_layout(blank.tree, meets)
+    wishes = template_wishes(blank, template, wish_strength(observed, blank.tree.marker_joint))
     report_progress(0.05, float("nan"))
 
     start = zero_frame(blank, observed, reference, torso_poses)
     coarse_frames = spread(fitted, reference, COARSE_FRAMES)
     at = int(np.searchsorted(coarse_frames, reference))
     guess = first_guess(
-        blank.tree, observed[coarse_frames], at, meets, start, template_directions(blank, template), settings.seed
+        blank.tree,
+        observed[coarse_frames],
+        at,
+        meets,
+        start,
+        template_directions(blank, template),
+        wishes,
+        settings.seed,
     )
     report_progress(0.3, float("nan"))
-    coarse = coarse_fit(guess, layout, observed[coarse_frames], at, template, blank)
+    coarse = coarse_fit(guess, layout, observed[coarse_frames], at, template, blank, wishes)
     report_progress(0.5, rms_of(coarse.residuals(observed[coarse_frames])))
     scale = robust_scale(coarse.residuals(observed[coarse_frames]))
     nearest_coarse = np.abs(fitted[:, None] - coarse_frames[None]).argmin(axis=1)
     first, _ = solve_postures(coarse.tree, coarse.coordinates[nearest_coarse], observed[fitted], COARSE_SCALE)
     fine_settings = FitSettings(robust_scale=scale, tolerance=1e-5, damping=1e-5)
     fit = minimise(
-        coarse.tree, layout, first, observed[fitted], fine_settings, frozen=int(np.searchsorted(fitted, reference))
+        coarse.tree,
+        layout,
+        first,
+        observed[fitted],
+        fine_settings,
+        frozen=int(np.searchsorted(fitted, reference)),
+        wishes=wishes_for(wishes, observed[fitted]),
     )
     if not np.isfinite(fit.loss):
         raise HandoverError(
@@ -219,19 +235,26 @@ def _finished(
 
 
 def coarse_fit(
-    guess: InitialGuess, layout: Layout, observed: FloatArray, at: int, template: NamedTemplate, blank: Skeleton
+    guess: InitialGuess,
+    layout: Layout,
+    observed: FloatArray,
+    at: int,
+    template: NamedTemplate,
+    blank: Skeleton,
+    wishes: Wishes,
 ) -> Fit:
     """Return the best minimum on a few frames; rivals of a group are tried in its place.
 
     Where the markers do not decide between two fits, the one whose axes are nearer to the template's directions is taken.
     """
     settings = FitSettings(robust_scale=COARSE_SCALE, tolerance=1e-5, damping=1e-4)
-    best = minimise(guess.tree, layout, guess.coordinates, observed, settings, frozen=at)
+    wishes = wishes_for(wishes, observed)
+    best = minimise(guess.tree, layout, guess.coordinates, observed, settings, frozen=at, wishes=wishes)
     directions = template_directions(blank, template)
     for group, rival in guess.rivals:
         tree, coordinates = with_group(best, group, rival, guess)
         coordinates, _ = solve_postures(tree, coordinates, observed, COARSE_SCALE, at)
-        other = minimise(tree, layout, coordinates, observed, settings, frozen=at)
+        other = minimise(tree, layout, coordinates, observed, settings, frozen=at, wishes=wishes)
         variance = best.loss / max(3 * np.isfinite(observed[:, :, 0]).sum(), 1)
         gain = (best.loss - other.loss) / max(variance, 1e-12)
         agrees = agreement(other.tree, directions, group) > agreement(best.tree, directions, group)
@@ -260,6 +283,22 @@ def template_directions(blank: Skeleton, template: NamedTemplate) -> FloatArray:
         if joint.positive:
             directions[[each.name for each in blank.joints].index(joint.name)] = joint.directions[0]
     return directions
+
+
+def template_wishes(blank: Skeleton, template: NamedTemplate, strength: float) -> Wishes:
+    """Return a template's wishes, with their strength [m^2] for each marker sample."""
+    index = {joint.name: number for number, joint in enumerate(blank.joints)}
+    joints = template.content.joints
+    return Wishes(
+        tuple((index[j.right_angle_to], index[j.name]) for j in joints if j.right_angle_to is not None),
+        tuple((index[j.name], index[j.towards]) for j in joints if j.towards is not None),
+        strength,
+    )
+
+
+def wishes_for(wishes: Wishes, observed: FloatArray) -> Wishes:
+    """Return wishes with the strength for all samples of some frames (frames, m, 3)."""
+    return replace(wishes, strength=wishes.strength * int(np.isfinite(observed[:, :, 0]).sum()))
 
 
 def meeting_joints(blank: Skeleton, template: NamedTemplate) -> dict[int, int]:

@@ -19,8 +19,9 @@ from handover_ros.skeleton.layout import parameter_layout
 from handover_ros.skeleton.postures import solve_postures
 from handover_ros.skeleton.prediction_error import Fit, FitSettings, minimise
 from handover_ros.skeleton.rigid_fit import kabsch
-from handover_ros.skeleton.torso_template import procrustes_mean
+from handover_ros.skeleton.rigid_motion import rigid_motion
 from handover_ros.skeleton.tree import COORDINATES, TANGENTS, FlatTree, IntArray, JointKind
+from handover_ros.skeleton.wishes import NO_WISHES, Wishes
 
 TRIAL_FRAMES = 48
 TRIAL_ITERATIONS = 15
@@ -87,6 +88,7 @@ def first_guess(
     meets: dict[int, int],
     world_from_zero: FloatArray | None = None,
     hints: FloatArray | None = None,
+    wishes: Wishes = NO_WISHES,
     seed: int = 0,
 ) -> InitialGuess:
     """Return a first guess; the posture of frame ``reference`` becomes the zero posture.
@@ -99,6 +101,7 @@ def first_guess(
         world_from_zero: The zero frame in the world at frame ``reference`` (4, 4); None: the world's axes at the middle
             of the root's markers.
         hints: Directions (joints, 3) that make a rival where the markers leave two fits open; zero: none.
+        wishes: About the shape; their strength is that for each marker sample.
         seed: Of the starting axes.
     """
     rng = np.random.default_rng(seed)
@@ -123,7 +126,7 @@ def first_guess(
         base = poses[group.base + 1]
         pair = Pair(marker[base_markers], observed[:, base_markers], base, observed[:, group.markers], noise)
         own_hints = None if hints is None else hints[list(group.joints)]
-        fits, tried[group.joints[-1]] = fit_group(tree, group, pair, reference, meets, rng, own_hints)
+        fits, tried[group.joints[-1]] = fit_group(tree, group, pair, reference, meets, rng, own_hints, wishes)
         rivals += [(group, fit) for fit in fits[1:]]
         place_group(tree, group, fits[0], axis, point, marker, coordinates)
         motion = segment_poses(fits[0].tree, fits[0].coordinates)
@@ -154,45 +157,6 @@ def place_group(
     marker[group.markers] = fit.tree.marker
 
 
-def rigid_motion(
-    observed: FloatArray, reference: int, world_from_zero: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return (world_from_zero poses (frames, 4, 4), marker positions (m, 3)) of a rigid set of markers.
-
-    Frames with fewer than three markers take the pose of the frame beside them.
-
-    Args:
-        observed: Markers [m], shape (frames, m, 3), NaN = not measured.
-        reference: Frame in which the zero frame is ``world_from_zero``.
-        world_from_zero: See ``first_guess``.
-    """
-    weights = np.ones(observed.shape[1])
-    shape = procrustes_mean(observed[np.linspace(0, len(observed) - 1, min(60, len(observed))).astype(int)], weights)
-    known = np.isfinite(shape[:, 0])
-    poses = np.full((len(observed), 4, 4), np.nan)
-    for k, positions in enumerate(observed):
-        common = known & np.isfinite(positions[:, 0])
-        if common.sum() >= 3:
-            rotation, translation, _ = kabsch(shape[common], positions[common], weights[common])
-            poses[k] = np.eye(4)
-            poses[k, :3, :3], poses[k, :3, 3] = rotation, translation
-    fill_from_neighbours(poses)
-    world_from_shape = poses[reference]
-    if world_from_zero is None:
-        world_from_zero = np.eye(4)
-        world_from_zero[:3, 3] = (world_from_shape[:3, :3] @ np.nanmean(shape, axis=0)) + world_from_shape[:3, 3]
-    shape_from_zero = np.linalg.inv(world_from_shape) @ world_from_zero
-    markers = (shape - shape_from_zero[:3, 3]) @ shape_from_zero[:3, :3]
-    return poses @ shape_from_zero, np.nan_to_num(markers)
-
-
-def fill_from_neighbours(poses: FloatArray) -> None:
-    """Replace unknown poses (frames, 4, 4) by the nearest known one, in place."""
-    known = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
-    for k in np.flatnonzero(~np.isfinite(poses[:, 0, 0])):
-        poses[k] = poses[known[np.argmin(np.abs(known - k))]] if len(known) else np.eye(4)
-
-
 @dataclass(frozen=True, eq=False)
 class GroupFit:
     """A fitted group.
@@ -216,6 +180,7 @@ def fit_group(
     meets: dict[int, int],
     rng: np.random.Generator,
     hints: FloatArray | None = None,
+    wishes: Wishes = NO_WISHES,
 ) -> tuple[list[GroupFit], int]:
     """Return the best fits of a group's joints, the best first, and the number of starting axes tried.
 
@@ -229,6 +194,7 @@ def fit_group(
         meets: As in ``first_guess``.
         rng: Of the starting axes.
         hints: Directions of the group's axes to try as well, shape (joints of the group, 3).
+        wishes: As in ``first_guess``.
     """
     kinds = [JointKind(tree.kind[j]) for j in group.joints]
     local_meets = {
@@ -240,7 +206,7 @@ def fit_group(
     blank = serial_tree(kinds, tree.axis[list(group.joints)], centre_of_rotation(pair.seen), markers)
     turning = [index for index, kind in enumerate(kinds) if kind != JointKind.BALL]
     few = spread(np.flatnonzero(np.isfinite(pair.seen[:, :, 0]).any(axis=1)), reference, TRIAL_FRAMES)
-    trial = PairProblem(pair, few, list(few).index(reference), local_meets)
+    trial = PairProblem(pair, few, list(few).index(reference), local_meets, wishes, group.joints)
     seeds = starting_axes(pair.seen[few], markers, len(turning), rng)
     good = GOOD_ENOUGH * max(pair.noise, free_motion_sigma(pair.seen[few], markers), NOISE_FLOOR)
     found: list[tuple[float, FlatTree, FloatArray]] = []
@@ -316,9 +282,19 @@ class PairProblem:
         frames: Frame numbers.
         reference: Index among them of the zero posture.
         meets: Joint of the group whose axis goes through another's point.
+        wishes: About the whole tree, their strength that for each marker sample.
+        joints: The group's joints in the whole tree.
     """
 
-    def __init__(self, pair: Pair, frames: npt.NDArray[np.intp], reference: int, meets: dict[int, int]) -> None:
+    def __init__(
+        self,
+        pair: Pair,
+        frames: npt.NDArray[np.intp],
+        reference: int,
+        meets: dict[int, int],
+        wishes: Wishes = NO_WISHES,
+        joints: tuple[int, ...] = (),
+    ) -> None:
         self.reference = reference
         self._seen = pair.seen[frames]
         self._poses = pair.base_poses[frames]
@@ -326,6 +302,8 @@ class PairProblem:
         self._free = len(pair.base_markers) >= 3
         self._observed = np.concatenate([pair.base_observed[frames], pair.observed[frames]], axis=1)
         self._meets = meets
+        samples = int(np.isfinite(pair.observed[frames][:, :, 0]).sum())
+        self._wishes = wishes.within(joints, 1 if self._free else 0, samples * wishes.strength)
 
     def fit(self, group: FlatTree) -> tuple[float, FlatTree, FloatArray]:
         """Return (sigma [m], the group's tree, its postures) after a short minimisation from a group's tree."""
@@ -335,12 +313,12 @@ class PairProblem:
         settings = FitSettings(iterations=TRIAL_ITERATIONS)
         if not self._free:
             layout = parameter_layout(group, self._meets)
-            fit = minimise(group, layout, q, self._seen, settings, frozen=self.reference)
+            fit = minimise(group, layout, q, self._seen, settings, frozen=self.reference, wishes=self._wishes)
             return sigma_of(fit, self._seen, layout.count, len(group.kind)), fit.tree, fit.coordinates
         base = np.concatenate([self._poses[:, :3, 3], Rotation.from_matrix(self._poses[:, :3, :3]).as_quat()], axis=1)
         whole = on_free_base(group, self._base_markers)
         layout = parameter_layout(whole, {a + 1: b + 1 for a, b in self._meets.items()}, held=len(self._base_markers))
-        fit = minimise(whole, layout, np.hstack([base, q]), self._observed, settings, frozen=-1)
+        fit = minimise(whole, layout, np.hstack([base, q]), self._observed, settings, frozen=-1, wishes=self._wishes)
         own = group._replace(
             axis=fit.tree.axis[1:], point=fit.tree.point[1:], marker=fit.tree.marker[len(self._base_markers) :]
         )

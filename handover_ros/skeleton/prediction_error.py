@@ -18,6 +18,7 @@ from handover_ros.skeleton.layout import Layout, moved, tangent_basis
 from handover_ros.skeleton.normal_equations import eliminate_frames, substitute_frames
 from handover_ros.skeleton.postures import frame_losses, settle_frames
 from handover_ros.skeleton.tree import FlatTree
+from handover_ros.skeleton.wishes import NO_WISHES, Wishes
 
 CHUNKS = 8  # fixed, so that sums do not depend on the number of cores
 FEW_FRAMES = 64  # not worth a second thread
@@ -187,6 +188,7 @@ def minimise(
     observed: FloatArray,
     settings: FitSettings | None = None,
     frozen: int = -1,
+    wishes: Wishes = NO_WISHES,
 ) -> Fit:
     """Return the nearest minimum of the prediction error over parameters and postures.
 
@@ -197,6 +199,7 @@ def minimise(
         observed: Markers [m], shape (frames, m, 3), NaN = not measured.
         settings: How.
         frozen: Frame whose posture is held: it fixes the gauge when axes *and* markers are estimated; -1: none.
+        wishes: About the shape, as far as the markers leave it open.
     """
     settings = settings or FitSettings()
     tangents = int(sum(1 if kind < 2 else 3 if kind == 2 else 6 for kind in tree.kind))
@@ -204,20 +207,26 @@ def minimise(
     try:
         # The frames are shared out among our own threads; those of the linear algebra would only get in their way.
         with blas_controller().limit(limits=1, user_api="blas"):
-            return _descend(equations, tree, layout, np.array(coordinates, dtype=float), settings)
+            return _descend(equations, tree, layout, np.array(coordinates, dtype=float), settings, wishes)
     finally:
         equations.close()
 
 
 def _descend(
-    equations: NormalEquations, tree: FlatTree, layout: Layout, coordinates: FloatArray, settings: FitSettings
+    equations: NormalEquations,
+    tree: FlatTree,
+    layout: Layout,
+    coordinates: FloatArray,
+    settings: FitSettings,
+    wishes: Wishes,
 ) -> Fit:
     """Levenberg-Marquardt with Nielsen's rule for the damping (Madsen, Nielsen, Tingleff 2004, algorithm 3.16)."""
     frame_loss = equations.losses(tree, coordinates)
-    loss = float(frame_loss.sum())
+    loss = float(frame_loss.sum()) + wishes.loss(tree)
     losses, damping, growth, small_steps = [loss], settings.damping, 2.0, 0
     for iteration in range(1, settings.iterations + 1):
         matrix, vector, diagonal = equations.build(tree, layout, coordinates, damping)
+        wishes.add_to(tree, layout, matrix, vector, diagonal)
         matrix[np.diag_indices_from(matrix)] += damping * diagonal + 1e-12 * (diagonal.max(initial=0.0) + 1e-12)
         try:
             step = -scipy.linalg.solve(matrix, vector, assume_a="pos", check_finite=False) if layout.count else vector
@@ -226,7 +235,7 @@ def _descend(
             continue
         trial_tree = moved(tree, layout, step)
         trial, trial_losses = equations.substitute(tree, trial_tree, coordinates, step, frame_loss)
-        trial_loss = float(trial_losses.sum())
+        trial_loss = float(trial_losses.sum()) + wishes.loss(trial_tree)
         promised = max(equations.promised(vector, step), 1e-30)
         gain = (loss - trial_loss) / promised
         if np.isfinite(trial_loss) and trial_loss <= loss:

@@ -24,7 +24,9 @@ class TemplateJoint(Schema):
 
     ``positive`` gives, for each displacement, the direction (root frame: x forward, y left, z up) about or along which
     it counts positive. For a ball joint these directions are its axes in sequence; for other joints only the sign is
-    taken from it, the axis itself is fitted. ``meets``: a joint whose axis this one's axis meets in a point. ``side``
+    taken from it, the axis itself is fitted. ``meets``: a joint whose axis this one's axis meets in a point.
+    Wishes, heard where the markers leave it open: ``right_angle_to`` a joint whose axis this one's crosses at a right angle,
+    ``towards`` a joint through whose point this one's axis runs. ``side``
     says on which side of the body the joint lies, and ``one_way`` that from standing it moves to the positive side only
     (an elbow), to notice when left and right are swapped.
     """
@@ -36,6 +38,8 @@ class TemplateJoint(Schema):
     displacements: tuple[Name, ...] = Field(min_length=1)
     positive: tuple[Vector3, ...] = ()
     meets: Name | None = None
+    right_angle_to: Name | None = None
+    towards: Name | None = None
     side: Literal["left", "right"] | None = None
     one_way: bool = False
 
@@ -86,6 +90,10 @@ class SkeletonTemplate(Schema):
                 raise ValueError(f"joints.{joint.name}.meets: {joint.meets!r} is no earlier joint")
             if joint.name in names:
                 raise ValueError(f"joints: {joint.name!r} appears twice")
+            if joint.right_angle_to is not None and joint.right_angle_to not in names:
+                raise ValueError(f"joints.{joint.name}.right_angle_to: {joint.right_angle_to!r} is no earlier joint")
+            if joint.towards is not None and joint.towards not in {each.name for each in self.joints}:
+                raise ValueError(f"joints.{joint.name}.towards: {joint.towards!r} is no joint")
             known.add(joint.segment)
             names.add(joint.name)
         displacements = [name for joint in self.joints for name in joint.displacements]
