@@ -8,6 +8,7 @@ from handover_ros.objects.scene import load_scene
 from handover_ros.planning.motion import MotionPlanner
 from handover_ros.robot.model import RobotModel
 from handover_ros.sim.simulation import Simulation
+from handover_ros.skeleton.warm_up import warm_up_calibration, warm_up_tracking
 
 
 def warm_up(scene_name: str = "lab") -> None:
@@ -15,6 +16,8 @@ def warm_up(scene_name: str = "lab") -> None:
     scene = load_scene(scene_name)
     Simulation(scene)
     MotionPlanner(RobotModel.load(scene.robot), scene, load_catalogue())
+    warm_up_tracking()
+    warm_up_calibration()
 
 
 if __name__ == "__main__":

@@ -48,6 +48,7 @@ from handover_ros.skeleton.calibration_report import CalibrationReport
 from handover_ros.skeleton.profile import Profile, safe_profile_id
 from handover_ros.skeleton.prompts import FINISHED, prompt_of
 from handover_ros.skeleton.templates import load_template
+from handover_ros.skeleton.warm_up import warm_up_calibration
 
 IDLE, RECORDING, FITTING, DONE, FAILED = "idle", "recording", "fitting", "done", "failed"
 PROGRESS_PERIOD = 0.2  # [s] of wall time
@@ -93,6 +94,7 @@ class CalibrationNode(HandoverNode):
         self.last_frame = monotonic()
         self.fits, self.active_id = 0, ""
 
+        warm_up_calibration()
         self.worker = Worker(self)
         self.progress_publisher = self.create_publisher(CalibrationProgress, "calibration/progress", SENSOR_PUBLISHER)
         self.active_publisher = self.create_publisher(ActiveProfile, "calibration/active_profile", LATCHED)

@@ -73,13 +73,13 @@ class MarkerPlayer:
     def _run(self) -> None:
         message = MarkerFrameMessage()
         message.header.frame_id = "world"
-        status = np.zeros(len(self.names), dtype=np.uint8)
         began, number, moved = time.monotonic(), 0, 0
         while not self._stop.is_set():
             positions = np.ascontiguousarray(self.positions[moved % len(self.positions)])
             moved = moved + 1 if self.moving.is_set() else (moved + 1) % STILL
             number += 1
             message.set_version = self.version
+            status = np.zeros(len(positions), dtype=np.uint8)
             frame = MarkerFrame(1000.0 + number / self.rate, number, number / self.rate, positions, status)
             fill_marker_frame(message, frame)
             self._frames.publish(message)
