@@ -15,6 +15,8 @@ ENTRY_TIME = 1.2
 MEAN_SPEED = 1.9
 SHORTEST_REPETITION = 1.6
 STILL_TIME = 2.0
+CIRCLE_TIME = 4.0  # [s] for one circle
+CIRCLE_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,12 @@ class CalibrationMotion:
     Attributes:
         joint: Arm joint that goes through its range; empty: none.
         posture: Displacements [rad] of other arm joints meanwhile.
+        second: Arm joint that goes through its range a quarter of a circle later; empty: none.
     """
 
     joint: str
     posture: dict[str, float]
+    second: str = ""
 
 
 MOTIONS = {
@@ -41,6 +45,9 @@ MOTIONS = {
     "forearm_pronation": CalibrationMotion("forearm_pronation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
     "wrist_flexion": CalibrationMotion("wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
     "wrist_deviation": CalibrationMotion("wrist_deviation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
+    "wrist_circle": CalibrationMotion(
+        "wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}, second="wrist_deviation"
+    ),
 }
 
 
@@ -88,6 +95,8 @@ def _plan(person: PersonSpec, prompt: CalibrationPrompt) -> MotionPlan:
         for joint, angle in motion.posture.items():
             start[ARM_SLICE[hand].start + ARM_JOINTS.index(joint)] = angle
     start = np.clip(start, person.lower, person.upper)
+    if motion.second:
+        return _circle(person, prompt, start, (index, ARM_JOINTS.index(motion.second)))
     low, high = start.copy(), start.copy()
     swing = 0.0
     for hand in HANDS:
@@ -99,6 +108,20 @@ def _plan(person: PersonSpec, prompt: CalibrationPrompt) -> MotionPlan:
     postures = [standing, start, *[high, low] * REPETITIONS, start, standing]
     steps = [ENTRY_TIME, *[stroke] * (2 * REPETITIONS), 0.7 * stroke, ENTRY_TIME]
     return MotionPlan(prompt.name, prompt.text, np.concatenate([[0.0], np.cumsum(steps)]), np.stack(postures))
+
+
+def _circle(person: PersonSpec, prompt: CalibrationPrompt, start: FloatArray, joints: tuple[int, int]) -> MotionPlan:
+    """Return the way points of a motion of two joints (their numbers in an arm) through the edge of their ranges."""
+    angles = np.linspace(0.0, 2.0 * np.pi * REPETITIONS, CIRCLE_POINTS * REPETITIONS + 1)
+    ring = np.tile(start, (len(angles), 1))
+    for hand in HANDS:
+        for joint, wave in zip(joints, (np.cos(angles), np.sin(angles))):
+            column = ARM_SLICE[hand].start + joint
+            middle, half = _range(person.lower[column], person.upper[column])
+            ring[:, column] = middle + RANGE_SHARE * half * wave
+    steps = [ENTRY_TIME, ENTRY_TIME, *[CIRCLE_TIME / CIRCLE_POINTS] * (len(angles) - 1), ENTRY_TIME, ENTRY_TIME]
+    postures = np.vstack([person.standing, start, ring, start, person.standing])
+    return MotionPlan(prompt.name, prompt.text, np.concatenate([[0.0], np.cumsum(steps)]), postures)
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:

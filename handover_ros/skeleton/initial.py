@@ -8,15 +8,16 @@ can be tried, spread evenly over all directions; the best fit is kept.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_ros.geometry import FloatArray
-from handover_ros.skeleton.kernels import segment_poses
+from handover_ros.skeleton.kernels import ancestors, segment_poses
 from handover_ros.skeleton.layout import parameter_layout
-from handover_ros.skeleton.postures import solve_postures
+from handover_ros.skeleton.postures import frame_losses, solve_frame, solve_postures
 from handover_ros.skeleton.prediction_error import Fit, FitSettings, minimise
 from handover_ros.skeleton.rigid_fit import kabsch
 from handover_ros.skeleton.rigid_motion import rigid_motion
@@ -25,10 +26,13 @@ from handover_ros.skeleton.wishes import NO_WISHES, Wishes
 
 TRIAL_FRAMES = 48
 TRIAL_ITERATIONS = 15
-SEEDS = 16
+SEEDS = 8
+CENTRE_PULL = 1e-6  # [m^2] variance of the markers' motion that outweighs the pull of their mean
 GOOD_ENOUGH = 1.2  # times the noise that remains when the segment may move freely: no better axes to be found
 RIVAL = 1.1  # a second minimum whose noise is at most this much larger is kept as a rival
 NOISE_FLOOR = 3e-4  # [m] below it nothing is worth another try
+BAD_TRIAL = 5.0  # times the median loss of the trial's frames
+START_ANGLES = (-1.2, 0.0, 1.2)  # [rad]
 SAME_AXIS = 0.9  # cosine of the angle between two axes above which they are taken for one
 
 
@@ -203,7 +207,8 @@ def fit_group(
         if a in group.joints and b in group.joints
     }
     markers = nearest_seen(pair.seen, reference)
-    blank = serial_tree(kinds, tree.axis[list(group.joints)], centre_of_rotation(pair.seen), markers)
+    centres = starting_centres(pair, markers)
+    blank = serial_tree(kinds, tree.axis[list(group.joints)], centres[0], markers)
     turning = [index for index, kind in enumerate(kinds) if kind != JointKind.BALL]
     few = spread(np.flatnonzero(np.isfinite(pair.seen[:, :, 0]).any(axis=1)), reference, TRIAL_FRAMES)
     trial = PairProblem(pair, few, list(few).index(reference), local_meets, wishes, group.joints)
@@ -211,11 +216,11 @@ def fit_group(
     good = GOOD_ENOUGH * max(pair.noise, free_motion_sigma(pair.seen[few], markers), NOISE_FLOOR)
     found: list[tuple[float, FlatTree, FloatArray]] = []
     tried = 0
-    for axes in seeds:
+    for axes, centre in ((axes, centre) for axes in seeds for centre in centres):
         tried += 1
         guess = blank.axis.copy()
         guess[turning] = axes
-        found.append(trial.fit(blank._replace(axis=guess)))
+        found.append(trial.fit(blank._replace(axis=guess, point=np.tile(centre, (len(kinds), 1)))))
         if found[-1][0] < good:
             break
     found.sort(key=lambda each: each[0])
@@ -228,7 +233,7 @@ def fit_group(
         if hints is not None and np.linalg.norm(hints[turning], axis=1).min() > 0.5:
             hinted = blank.axis.copy()
             hinted[turning] = hints[turning]
-            others.append(trial.fit(blank._replace(axis=hinted)))
+            others += [trial.fit(blank._replace(axis=hinted, point=np.tile(c, (len(kinds), 1)))) for c in centres]
         tried += len(others)
         tries = sorted([best, *others], key=lambda each: each[0])
         found = [tries[0], *(each for each in tries[1:] if other_axes(each[1], tries[0][1], turning))]
@@ -238,6 +243,19 @@ def fit_group(
         every, _ = solve_postures(own, q[trial.reference], pair.seen, start=reference)
         fits.append(GroupFit(own, every, sigma))
     return fits, tried
+
+
+def starting_centres(pair: Pair, markers: FloatArray) -> list[FloatArray]:
+    """Return points (3,) near which the joints of a group may lie.
+
+    First the common centre of the spheres on which the markers move; the error of the placed segment's pose pushes it
+    outwards, sometimes far. Then points between the markers of both segments.
+    """
+    own = markers.mean(axis=0)
+    centres = [centre_of_rotation(pair.seen)]
+    if len(pair.base_markers):
+        centres += [own + share * (pair.base_markers.mean(axis=0) - own) for share in (0.25, 0.5)]
+    return [*centres, own]
 
 
 def other_axes(first: FlatTree, second: FlatTree, joints: list[int]) -> bool:
@@ -310,20 +328,52 @@ class PairProblem:
         zero = zero_coordinates(group)
         q, _ = solve_postures(group, zero, self._seen, start=self.reference, iterations=6)
         q[self.reference] = zero
-        settings = FitSettings(iterations=TRIAL_ITERATIONS)
         if not self._free:
-            layout = parameter_layout(group, self._meets)
-            fit = minimise(group, layout, q, self._seen, settings, frozen=self.reference, wishes=self._wishes)
-            return sigma_of(fit, self._seen, layout.count, len(group.kind)), fit.tree, fit.coordinates
-        base = np.concatenate([self._poses[:, :3, 3], Rotation.from_matrix(self._poses[:, :3, :3]).as_quat()], axis=1)
-        whole = on_free_base(group, self._base_markers)
-        layout = parameter_layout(whole, {a + 1: b + 1 for a, b in self._meets.items()}, held=len(self._base_markers))
-        fit = minimise(whole, layout, np.hstack([base, q]), self._observed, settings, frozen=-1, wishes=self._wishes)
-        own = group._replace(
-            axis=fit.tree.axis[1:], point=fit.tree.point[1:], marker=fit.tree.marker[len(self._base_markers) :]
-        )
-        tangents = 6 + len(group.kind)
-        return sigma_of(fit, self._observed, layout.count, tangents), own, fit.coordinates[:, 7:]
+            whole, held, frozen, observed = group, 0, self.reference, self._seen
+        else:
+            base = Rotation.from_matrix(self._poses[:, :3, :3]).as_quat()
+            q = np.hstack([self._poses[:, :3, 3], base, q])
+            whole, held, frozen, observed = (
+                on_free_base(group, self._base_markers),
+                len(self._base_markers),
+                -1,
+                self._observed,
+            )
+        shift = 1 if self._free else 0
+        layout = parameter_layout(whole, {a + shift: b + shift for a, b in self._meets.items()}, held=held)
+        settings = FitSettings(iterations=TRIAL_ITERATIONS)
+        fit = minimise(whole, layout, q, observed, settings, frozen, self._wishes)
+        better = solved_from_everywhere(fit.tree, fit.coordinates, observed, self.reference)
+        if better is not None:
+            fit = minimise(fit.tree, layout, better, observed, settings, frozen, self._wishes)
+        own = group._replace(axis=fit.tree.axis[shift:], point=fit.tree.point[shift:], marker=fit.tree.marker[held:])
+        sigma = sigma_of(fit, observed, layout.count, 6 * shift + len(group.kind))
+        return sigma, own, fit.coordinates[:, 7 * shift :]
+
+
+def solved_from_everywhere(
+    tree: FlatTree, coordinates: FloatArray, observed: FloatArray, reference: int
+) -> FloatArray | None:
+    """Return postures (frames, nq) of which those that fit badly were tried from many angles; None: none got better.
+
+    Frames of a trial lie far apart in time, so that the posture of the frame before is no good start for some of them.
+    """
+    losses = np.empty(len(coordinates))
+    frame_losses(tree, coordinates, observed, 0.0, losses)
+    bad = np.flatnonzero(losses > BAD_TRIAL * max(float(np.median(losses)), 1e-12))
+    bad = bad[bad != reference]
+    turning = [int(start) for kind, start in zip(tree.kind, tree.coordinate) if kind == JointKind.REVOLUTE]
+    if not len(bad) or not turning:
+        return None
+    chains, result, improved = ancestors(tree), coordinates.copy(), False
+    for angles in product(START_ANGLES, repeat=len(turning)):
+        for k in bad:
+            start = coordinates[k].copy()
+            start[turning] = angles
+            loss = solve_frame(tree, chains, start, observed[k], 0.0, TRIAL_ITERATIONS)
+            if loss < 0.7 * losses[k]:
+                result[k], losses[k], improved = start, loss, True
+    return result if improved else None
 
 
 def sigma_of(fit: Fit, observed: FloatArray, parameters: int, tangents: int) -> float:
@@ -429,9 +479,12 @@ def nearest_seen(seen: FloatArray, reference: int) -> FloatArray:
 
 
 def centre_of_rotation(seen: FloatArray) -> FloatArray:
-    """Return the point (3,) [m] from which every marker keeps its distance best (a sphere for each marker).
+    """Return the point (3,) from which every marker keeps its distance best (a sphere for each marker).
 
-    Linear least squares of |y|^2 - 2 y c + s_i = 0; directions in which the markers hardly curve are held at their mean.
+    Linear least squares of |y|^2 - 2 y c + s_i = 0. Where the markers hardly curve the centre is held at their mean.
+
+    Args:
+        seen: Markers of one segment as the segment it hangs on sees them [m], shape (frames, k, 3).
     """
     visible = np.isfinite(seen[:, :, 0])
     mean = np.nanmean(seen.reshape(-1, 3), axis=0) if visible.any() else np.zeros(3)
@@ -446,7 +499,7 @@ def centre_of_rotation(seen: FloatArray) -> FloatArray:
         normal += 4.0 * y_centred.T @ y_centred
         right += 2.0 * y_centred.T @ squared_centred
         samples += len(y)
-    return np.asarray(mean + np.linalg.solve(normal + (4.0 * samples * 1e-6 + 1e-12) * np.eye(3), right))
+    return np.asarray(mean + np.linalg.solve(normal + (4.0 * samples * CENTRE_PULL + 1e-12) * np.eye(3), right))
 
 
 def spread(usable: npt.NDArray[np.intp], reference: int, count: int) -> npt.NDArray[np.intp]:

@@ -37,6 +37,8 @@ PROMPTS = (
     CalibrationPrompt("forearm_pronation", "Elbows bent: turn the palms up and down"),
     CalibrationPrompt("wrist_flexion", "Elbows bent: bend the hands inward and outward"),
     CalibrationPrompt("wrist_deviation", "Elbows bent: tilt the hands towards the thumb and the little finger"),
+    # Not in figure 2.4: it tells the two axes of the wrist apart, which motions about one at a time hardly do.
+    CalibrationPrompt("wrist_circle", "Elbows bent: draw wide circles with both hands"),
 )
 MOTION_NAMES = tuple(prompt.name for prompt in PROMPTS)
 
