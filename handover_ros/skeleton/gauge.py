@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handover_ros.geometry import FloatArray, invert_transform
-from handover_ros.skeleton.initial import zero_coordinates
+from handover_ros.skeleton.group_starts import zero_coordinates
 from handover_ros.skeleton.kernels import ancestors, segment_poses
 from handover_ros.skeleton.layout import Layout
 from handover_ros.skeleton.tree import FlatTree, JointKind

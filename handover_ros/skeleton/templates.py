@@ -25,10 +25,12 @@ class TemplateJoint(Schema):
     ``positive`` gives, for each displacement, the direction (root frame: x forward, y left, z up) about or along which
     it counts positive. For a ball joint these directions are its axes in sequence; for other joints only the sign is
     taken from it, the axis itself is fitted. ``meets``: a joint whose axis this one's axis meets in a point.
-    Wishes, heard where the markers leave it open: ``right_angle_to`` a joint whose axis this one's crosses at a right angle,
-    ``towards`` a joint through whose point this one's axis runs. ``side``
-    says on which side of the body the joint lies, and ``one_way`` that from standing it moves to the positive side only
-    (an elbow), to notice when left and right are swapped.
+
+    Wishes, heard where the markers leave it open: ``right_angle_to`` a joint whose axis this one's crosses at a right
+    angle, ``towards`` a joint through whose point this one's axis runs.
+
+    ``side`` says on which side of the body the joint lies, and ``one_way`` that from standing it moves to the positive
+    side only (an elbow), to notice when left and right are swapped.
     """
 
     name: Name

@@ -1,9 +1,10 @@
 """Soft wishes about a skeleton's shape, heard where the markers leave it open.
 
 Markers sit on skin, and skin moves over the bones with the posture. Two axes that are nearly parallel, turned far and
-against each other, imitate any third one and follow that motion better than true axes do: the fit becomes closer and the
-angles worthless. Bestick 2017, section 2.5, names the remedy, a regularisation of the angle between the axes. A template
-says which axes it wants at right angles, and which axis runs towards another joint; white measurement noise overrules it.
+against each other, imitate any third one and follow that motion better than true axes do: the fit becomes closer and
+the angles worthless. Bestick 2017, section 2.5, names the remedy, a regularisation of the angle between the axes. A
+template says which axes it wants at right angles, and which axis runs towards another joint; against white noise the
+markers keep the last word.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ class Wishes:
 
     Attributes:
         right_angles: Pairs of joints in series whose axes should be at right angles: violation a . b.
-        towards: Pairs (joint, other): the joint's axis should run through the other's point: violation the distance of the
-            other's point from the axis over the distance of the two points.
+        towards: Pairs (joint, other): the joint's axis should run through the other's point: violation the distance of
+            the other's point from the axis over the distance of the two points.
         strength: [m^2].
     """
 
