@@ -21,6 +21,7 @@ from handover_ros.errors import HandoverError, UnknownNameError
 from handover_ros.resources import config_directory
 
 EXIT_BAD_INPUT = 2
+PERSONAL = "personal"  # the scheme that needs a calibrated person
 EXIT_INTERRUPTED = 130
 # Newer typers carry a click of their own: this is the one in use.
 USAGE_ERROR: Any = typer.BadParameter.__base__
@@ -70,6 +71,10 @@ def demo(
     marker_set: MarkerSetOption = "auto",
     speed: SpeedOption = 1.0,
     pictures: Annotated[bool, typer.Option(help="Render pictures of each handover.")] = True,
+    calibrate: Annotated[
+        bool | None,
+        typer.Option("--calibrate/--no-calibrate", help="Calibrate the person first; default: for scheme personal."),
+    ] = None,
     seed: SeedOption = 1,
     json_file: JsonOption = None,
     out: OutOption = None,
@@ -88,6 +93,7 @@ def demo(
         marker_set=marker_set,
         speed=speed,
         pictures=pictures,
+        calibrate=scheme == PERSONAL and recording is None if calibrate is None else calibrate,
         seed=seed,
         json_file=json_file,
         out=out,
@@ -151,6 +157,31 @@ def calibrate(
         out=out,
     )
     raise typer.Exit(run_calibrate(request, console))
+
+
+@app.command()
+def track(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="C3D, TRC or Vicon CSV.")],
+    profile: Annotated[str, typer.Option(metavar="ID|FILE", help="Stored profile, or a profile's file.")] = "",
+    marker_set: MarkerSetOption = "auto",
+    smooth: Annotated[bool, typer.Option("--smooth", help="Use the frames after each frame too.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Written into the JSON; tracking draws no random numbers.")] = 0,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Track a person in a recording with their profile: displacements as CSV, picture, numbers."""
+    from handover_ros.cell.track_command import TrackRequest, run_track
+
+    request = TrackRequest(
+        recording=recording,
+        profile=profile,
+        marker_set=marker_set,
+        smooth=smooth,
+        seed=seed,
+        json_file=json_file,
+        out=out,
+    )
+    raise typer.Exit(run_track(request, console))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

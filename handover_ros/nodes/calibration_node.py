@@ -62,7 +62,7 @@ PARAMETERS = (
     ParameterSpec("profile_directory", "", "folder of profiles; empty: $HANDOVER_PROFILES, or the user's data folder"),
     ParameterSpec("marker_set", "", "marker set with the torso's definition; empty: the one mocap/marker_set names"),
     ParameterSpec("template", "", "skeleton in config/skeletons for requests that name none; empty: the one that fits"),
-    ParameterSpec("motion_time", 15.0, "[s] each motion is prompted when all are recorded in order", 1.0, 600.0),
+    ParameterSpec("motion_time", 13.0, "[s] each motion is prompted when all are recorded in order", 1.0, 600.0),
     ParameterSpec("record_limit", 1200.0, "[s] longest recording of one profile, all motions together", 10.0, 7200.0),
     ParameterSpec("max_frames", DEFAULTS.max_frames, "frames that enter the fit, spread evenly", 100, 20000),
     ParameterSpec("holdout", DEFAULTS.holdout, "share of the time left out of the fit to measure its error", 0.0, 0.5),

@@ -26,8 +26,9 @@ from handover_ros.cell.report import (
     phase_table,
     write_json,
 )
-from handover_ros.errors import HandoverError, UnknownNameError
+from handover_ros.errors import BadRequestError, HandoverError, UnknownNameError
 from handover_ros.mocap.recordings import read_recording
+from handover_ros.nodes.demo_calibration import calibrate_person
 from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
 from handover_ros.objects.catalogue import load_object
 from handover_ros.objects.scene import load_scene
@@ -37,6 +38,7 @@ from handover_ros.resources import config_directory, config_file
 READY_LIMIT = 60.0  # [s] of wall time until the graph is ready; the first start compiles and converts meshes
 HANDOVER_LIMIT = 240.0  # [s] of wall time for one handover
 PLACE_LIMIT = 20.0  # [s] of simulated time for the person to bring the object to its goal
+PROFILES = "profiles"  # folder of a demonstration's profiles, in its output folder
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 
@@ -55,6 +57,7 @@ class DemoRequest:
     marker_set: str
     speed: float
     pictures: bool
+    calibrate: bool
     seed: int
     json_file: Path | None
     out: Path | None
@@ -85,6 +88,8 @@ def checked_objects(request: DemoRequest) -> tuple[str, ...]:
     if request.scheme not in schemes:
         raise UnknownNameError("scheme", request.scheme, schemes)
     placed = tuple(load_scene(request.scene).placements)
+    if request.calibrate and request.recording is not None:
+        raise BadRequestError("--calibrate: a recorded person cannot be asked to move; leave out --recording")
     for name in request.objects:
         load_object(name)
         if name not in placed:
@@ -144,17 +149,16 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
     mocap = recording_parameters(request) if request.recording is not None else {}
     folder = output_folder(request.out, "demo")
     plan = launches(NODES, request.person, request.robot, request.scene, request.seed, request.speed, folder)
+    # A demonstration keeps its people to itself.
+    more: dict[str, dict[str, object]] = {"calibration_node": {"profile_directory": str(folder / PROFILES)}}
     if mocap:
-        plan["mocap_node"] = NodeLaunch(
-            "mocap_node", {**plan["mocap_node"].parameters, **mocap}, plan["mocap_node"].parameter_file
-        )
-        plan["sim_node"] = NodeLaunch(
-            "sim_node",
-            {**plan["sim_node"].parameters, "person_follows_torso": True},
-            plan["sim_node"].parameter_file,
-        )
+        more |= {"mocap_node": mocap, "sim_node": {"person_follows_torso": True}}
+    for node, parameters in more.items():
+        launch = plan[node]
+        plan[node] = NodeLaunch(node, {**launch.parameters, **parameters}, launch.parameter_file)
     began = time.monotonic()
     interrupt = Interrupt(stop)
+    files: list[Path] = []
     with CellProcesses(folder / "log") as processes:
         console.print(f"starting {len(plan)} nodes ...")
         for launch in plan.values():
@@ -164,12 +168,17 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
                 operator.wait_ready(tuple(plan), READY_LIMIT)
                 ready = time.monotonic() - began
                 console.print(f"the graph is ready after {ready:.1f} s")
+                metrics: dict[str, float] = {"ready_s": ready}
+                if request.calibrate:
+                    profile, figures = calibrate_person(request.person, operator, console, wait_simulated)
+                    metrics |= figures
+                    files.append(folder / PROFILES / f"{profile.profile_id}.json")
                 records = list(hand_over_all(request, objects, operator, console))
-                metrics = {"ready_s": ready, **measured(operator, records)}
+                metrics |= measured(operator, records)
         except InterruptedByOperatorError:
             console.print("interrupted; stopping the nodes ...")
             return EXIT_INTERRUPTED
-    files = [*dict.fromkeys(picture for record in records for picture in record.pictures)]
+    files += dict.fromkeys(picture for record in records for picture in record.pictures)
     files.append(draw_phases(records, folder / "phases.png"))
     ok = all(record.taken for record in records) and not any(
         metrics[name] for name in ("dropped", "joint_limit_violations", "velocity_limit_violations")
