@@ -20,13 +20,13 @@ from handover_ros.skeleton.prompts import MOTION_NAMES
 
 pytestmark = pytest.mark.graph
 
-SPEED = 3.0  # simulated seconds a second
+SPEED = 2.0  # simulated seconds a second
 MOCAP_RATE = 100.0  # [Hz] of simulated time
 FIT = 120.0  # [s]
 MOTION = 240.0  # [s] of wall time one motion may take on a busy machine
 NODES = ("sim_node", "mocap_node", "skeleton_node", "calibration_node")
 FOLLOWED = ("right_elbow_flexion", "left_elbow_flexion", "right_forearm_pronation", "left_wrist_flexion")
-WORST = np.deg2rad(6.0)  # of the difference from the truth once a constant offset is taken out, rms
+WORST = np.deg2rad(3.0)  # of the difference from the truth once a constant offset is taken out, rms
 
 
 class Cell:
@@ -82,7 +82,8 @@ def test_a_calibrated_person_is_tracked_as_they_truly_move(cell: Cell):
         cell.make(motion)
     stopped = call(StopRecording, "calibration/stop_recording", StopRecording.Request())
     assert stopped.success, stopped.message
-    assert stopped.lost_frames == 0
+    # A busy machine loses frames between simulator and mocap_node; that the recording loses none is tested elsewhere.
+    assert stopped.frames > 1500, stopped.message
     assert list(dict.fromkeys(each.motion for each in cell.progress if each.phase == "recording")) == list(MOTION_NAMES)
 
     client = cell.graph.node.create_client(FitSkeleton, "calibration/fit")
@@ -104,16 +105,17 @@ def test_a_calibrated_person_is_tracked_as_they_truly_move(cell: Cell):
     cell.make("elbow_flexion")
     cell.make("forearm_pronation")
     cell.make("wrist_flexion")
-    tracked = [state for state in cell.states[states:] if state.valid]
-    assert len(tracked) > 0.98 * (len(cell.states) - states)
+    seen, truth = cell.states[states:], cell.truths[truths:]
+    tracked = [state for state in seen if state.valid]
+    assert len(tracked) > 0.98 * len(seen)
     names = list(tracked[0].joint_names)
     assert len(names) == 14
     times = np.array([seconds_from_stamp(state.header.stamp) for state in tracked])
     found = np.array([state.displacements for state in tracked])
-    true_times = np.array([seconds_from_stamp(truth.header.stamp) for truth in cell.truths[truths:]])
+    true_times = np.array([seconds_from_stamp(each.header.stamp) for each in truth])
     for name in FOLLOWED:
-        column = list(cell.truths[-1].joint_names).index(name)
-        true = np.interp(times, true_times, [truth.displacements[column] for truth in cell.truths[truths:]])
+        column = list(truth[-1].joint_names).index(name)
+        true = np.interp(times, true_times, [each.displacements[column] for each in truth])
         own = found[:, names.index(name)]
         assert np.corrcoef(true, own)[0, 1] > 0.98, name
         error = own - true
