@@ -86,7 +86,7 @@ class Wishes:
 
 
 NO_WISHES = Wishes()
-SKIN_OVER_BONE = 2.0  # times as far as over itself: markers of one cluster move together
+SKIN_OVER_BONE = 30.0  # times farther than over itself; 20 to 40 give elbows within a degree on real reaching trials
 PAIRS = 400  # neighbouring frames that are compared
 CHANCE = 0.05  # correlation that white noise may show by chance
 
