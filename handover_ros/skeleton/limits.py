@@ -12,7 +12,7 @@ from handover_ros.skeleton.tree import JointKind, Skeleton
 
 SMOOTHING = 0.12  # [s] window over which a displacement is smoothed
 SHORTEST_WINDOW = 5  # frames; recordings with less than this in a window are not smoothed
-TAIL = 0.003  # share of the time a displacement may be beyond its limit
+TAIL = 0.0015  # share of the time a displacement may be beyond its limit
 UNCERTAIN = 3.0  # a displacement this many times less certain than usual, and than the next, says nothing about limits
 CERTAIN_ENOUGH = {True: 0.003, False: np.deg2rad(2.5)}  # [m] for a prismatic joint, [rad] else
 
@@ -36,7 +36,7 @@ def estimate_limits(
 ) -> tuple[FloatArray, FloatArray]:
     """Return lower and upper limits (n,) [rad] or [m] of what the person did.
 
-    The limit is where the smoothed displacement spends no more than 0.3 % of the time beyond: three turning points of a
+    The limit is where the smoothed displacement spends no more than 0.15 % of the time beyond: three turning points of a
     calibration motion are longer than that, single bad frames are not. Angles of a ball joint whose middle angle is
     near 90 degrees, and frames in which a displacement is hardly known, are left out.
 
