@@ -20,6 +20,7 @@ WORLD = "world"
 AXIS_LENGTH, AXIS_WIDTH = 0.10, 0.008  # [m]
 AXIS_COLOURS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 0.95))
 OFFER_OPACITY = 0.7
+LIMB_WIDTH, LIMB_COLOUR = 0.03, (0.85, 0.65, 0.5)  # [m]
 
 
 def trajectory_to_message(joint_names: tuple[str, ...], trajectory: Trajectory) -> JointTrajectory:
@@ -29,7 +30,9 @@ def trajectory_to_message(joint_names: tuple[str, ...], trajectory: Trajectory) 
     )
 
 
-def plan_message(plan: HandoverPlan, joint_names: tuple[str, ...], plan_id: str, stamp: Time) -> HandoverPlanMessage:
+def plan_message(
+    plan: HandoverPlan, joint_names: tuple[str, ...], plan_id: str, stamp: Time, person_model: str = ""
+) -> HandoverPlanMessage:
     """Return a plan as a message.
 
     Args:
@@ -37,17 +40,19 @@ def plan_message(plan: HandoverPlan, joint_names: tuple[str, ...], plan_id: str,
         joint_names: Joints of its arm.
         plan_id: A name that no other plan has.
         stamp: When it was made.
+        person_model: Profile it was made for; empty: none.
     """
     message = HandoverPlanMessage(
         header=Header(frame_id=WORLD, stamp=stamp),
         plan_id=plan_id,
         object_name=plan.object_name,
         scheme=plan.scheme,
+        person_model=person_model,
         arm=plan.arm,
         robot_grasp=plan.robot_grasp,
         object_from_gripper=pose_message(plan.object_from_gripper),
         handover_pose=pose_message(plan.world_from_object),
-        expected_cost=float("nan"),
+        expected_cost=float("nan") if plan.expected is None else float(plan.expected.cost),
         planning_time=float(plan.planning_time),
         candidates=int(plan.candidates),
         explanation=plan.explanation,
@@ -70,13 +75,18 @@ def plan_message(plan: HandoverPlan, joint_names: tuple[str, ...], plan_id: str,
 def plan_visual(
     plan: HandoverPlan, model: ObjectModel, world_from_torso: FloatArray | None, stamp: Time
 ) -> MarkerArray:
-    """Return the object at the offer, gripper, person's hand and torso as rviz markers; they replace those before."""
+    """Return the offer as rviz markers that replace those before.
+
+    They are the object, gripper, person's hand, torso, and the arms of the posture that is expected.
+    """
     markers = [Marker(action=Marker.DELETEALL)]
     markers += [_solid(part, plan.world_from_object, number) for number, part in enumerate(model.primitives)]
     markers += _axes("gripper", plan.world_from_gripper)
     markers += _axes("expected_hand", plan.world_from_hand)
     if world_from_torso is not None:
         markers += _axes("torso", world_from_torso)
+    if plan.expected is not None:
+        markers += [_limb(number, points) for number, points in enumerate(plan.expected.limbs.values())]
     for marker in markers:
         marker.header = Header(frame_id=WORLD, stamp=stamp)
     return MarkerArray(markers=markers)
@@ -98,6 +108,17 @@ def _solid(part: Primitive, world_from_object: FloatArray, number: int) -> Marke
     red, green, blue, opacity = (float(value) for value in part.colour)
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=OFFER_OPACITY * opacity)
     return marker
+
+
+def _limb(number: int, points: FloatArray) -> Marker:
+    """Return an arm, points (k, 3) [m] from shoulder to grip, as a line."""
+    line = Marker(ns="expected_posture", id=number, type=Marker.LINE_STRIP, action=Marker.ADD)
+    line.pose.orientation.w = 1.0
+    line.scale = Vector3(x=LIMB_WIDTH, y=0.0, z=0.0)
+    red, green, blue = LIMB_COLOUR
+    line.color = ColorRGBA(r=red, g=green, b=blue, a=OFFER_OPACITY)
+    line.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+    return line
 
 
 def _axes(name: str, world_from_frame: FloatArray) -> list[Marker]:

@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from handover_msgs.msg import GripperState, HandoverPlan, ObjectStates, SkeletonState
+from handover_msgs.msg import ActiveProfile, GripperState, HandoverPlan, ObjectStates, SkeletonState
 from handover_msgs.srv import PlanHandover, PlanMotion
 from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from handover_ros.errors import BadRequestError, ErrorCode, StaleDataError
+from handover_ros.ergonomics.anthropometry import HEAVIEST, LIGHTEST
+from handover_ros.errors import BadRequestError, ErrorCode, HandoverError, StaleDataError
 from handover_ros.geometry import FloatArray, rotation_angle, transform_from_pose
 from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
 from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
+from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import (
     LATCHED,
@@ -29,9 +31,19 @@ from handover_ros.nodes.runtime import (
     monotonic,
 )
 from handover_ros.objects import load_catalogue, load_scene
-from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, PlannerSettings, load_schemes
+from handover_ros.planning import (
+    CellSnapshot,
+    HandoverPlanner,
+    HandoverRequest,
+    PersonalScheme,
+    PlannerSettings,
+    TrackedPerson,
+    load_schemes,
+)
+from handover_ros.planning.personal import BODY_MASS
 from handover_ros.planning.types import OutdatedSnapshotError
 from handover_ros.robot import RobotModel, Trajectory
+from handover_ros.skeleton.profile import Profile
 from handover_ros.skeleton.stillness import Stillness
 
 MOVED_DISTANCE, MOVED_ANGLE = 0.08, 0.17  # [m], [rad] of the torso that make a plan be made anew
@@ -39,6 +51,7 @@ FIRST_DATA = 2.0  # [s] of wall time the first samples may take to come in
 STILL_POLL = 0.05  # [s] of wall time between two looks whether the person stands still
 PUT_BACK = "put_back"  # PlanMotion.posture: bring the held object back to where it was planned to be taken from
 DEFAULTS = PlannerSettings()
+HANDS = ("", "left", "right")
 AGE = "[s] of wall time after which it is too old to plan with"
 
 PARAMETERS = (
@@ -56,6 +69,8 @@ PARAMETERS = (
     ParameterSpec("torso_age", 1.0, f"the person's torso: {AGE}", 0.1, 60.0),
     ParameterSpec("object_age", 2.0, f"an object's pose: {AGE}", 0.1, 600.0),
     ParameterSpec("still_wait", 10.0, "[s] of ROS time a moving person gets to come to rest", 0.0, 60.0),
+    ParameterSpec("body_mass", BODY_MASS, "[kg] of the person, for posture costs with torques", LIGHTEST, HEAVIEST),
+    ParameterSpec("dominant_hand", "", "hand the person likes to take things with; empty: not known", choices=HANDS),
     ParameterSpec("seed", 0, "of the random searches", 0, 2**31 - 1),
 )
 SETTINGS = (
@@ -87,6 +102,9 @@ class PlannerNode(HandoverNode):
         self.objects: dict[str, tuple[float, FloatArray]] = {}
         self.torso: tuple[float, FloatArray] | None = None
         self.stillness = Stillness()
+        self.profile: Profile | None = None
+        self.profile_problem = ""
+        self.posture: tuple[float, FloatArray] | None = None  # displacements of the profile's skeleton
         self.gripping: frozenset[str] = frozenset()
         self.taken_from: dict[str, FloatArray] = {}  # object -> world_from_object when it was planned to be fetched
         self.numbers = itertools.count(1)
@@ -99,11 +117,12 @@ class PlannerNode(HandoverNode):
         self.create_subscription(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
         self.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
         self.create_subscription(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
+        self.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
         # Reentrant: a request waits for the one before it, while callbacks go on.
         group = ReentrantCallbackGroup()
         self.create_service(PlanMotion, "planner/plan_motion", self.plan_motion, callback_group=group)
         self.create_service(PlanHandover, "planner/plan_handover", self.plan_handover, callback_group=group)
-        self.ready(f"plans for {robot.name} with the schemes {', '.join(schemes)}")
+        self.say_ready()
 
     # What is known of the cell
 
@@ -143,8 +162,62 @@ class PlannerNode(HandoverNode):
             torso = transform_from_message(message.torso.pose, "torso")
             self.torso = monotonic(), torso
             self.stillness.update(seconds_from_stamp(message.header.stamp), torso)
+            self.keep_posture(message)
         except BadRequestError as error:
             self.last_problem = f"human/skeleton_state: {error}"
+
+    def keep_posture(self, message: SkeletonState) -> None:
+        """Keep where the joints of the active profile's skeleton are, if it is that one that is tracked."""
+        if self.profile is None or message.profile_id != self.profile.profile_id:
+            return
+        names = self.profile.skeleton.displacement_names
+        values = dict(zip(message.joint_names, message.displacements, strict=False))
+        displacements = np.array([values.get(name, np.nan) for name in names])
+        if np.isfinite(displacements).all():
+            self.posture = monotonic(), displacements
+
+    def on_profile(self, message: ActiveProfile) -> None:
+        """Plan for this person from now on; one whose profile cannot be used is offered things like anybody."""
+        self.profile, self.profile_problem, self.posture = None, "", None
+        try:
+            self.profile = profile_from_message(message)
+        except HandoverError as error:
+            self.profile_problem = self.last_problem = str(error)
+        self.say_ready()
+        if self.profile is not None:
+            for scheme in self.planner.schemes.values():
+                if isinstance(scheme, PersonalScheme):
+                    for name in self.planner.motion.catalogue:
+                        self.worker.submit(self.prepare, scheme, name, self.profile)
+
+    def prepare(self, scheme: PersonalScheme, name: str, profile: Profile) -> None:
+        """Find the postures of a person with an object before they are asked for; runs in the worker thread."""
+        if profile is not self.profile:
+            return  # another one came meanwhile
+        try:
+            scheme.offers(self.planner.motion.object_model(name), np.eye(4), self.person(np.eye(4), profile, None))
+        except HandoverError as error:
+            self.last_problem = str(error)
+
+    def say_ready(self) -> None:
+        """Say what can be planned, and for whom."""
+        if self.profile_problem:
+            self.degraded(f"no scheme of a person's own: {self.profile_problem}")
+            return
+        person = f" for {self.profile.person or self.profile.profile_id}" if self.profile else ""
+        self.ready(f"plans for {self.robot.name} with the schemes {', '.join(self.planner.schemes)}{person}")
+
+    def person(self, torso: FloatArray, profile: Profile | None, posture: FloatArray | None) -> TrackedPerson:
+        """Return what is known of the person."""
+        return TrackedPerson(
+            torso,
+            skeleton=profile.skeleton if profile else None,
+            displacements=posture,
+            dominant=self.parameters["dominant_hand"] or None,
+            body_mass=self.parameters["body_mass"],
+            profile=profile.profile_id if profile else "",
+            profile_problem=self.profile_problem,
+        )
 
     def snapshot(self, needs_person: bool) -> CellSnapshot:
         """Return the cell as it is now.
@@ -167,10 +240,15 @@ class PlannerNode(HandoverNode):
                 f"the person {how} (limit {limit:g} s): step into view of the cameras", ErrorCode.PERSON_NOT_TRACKED
             )
         age_limit = self.parameters["object_age"]
+        profile, posture = self.profile, self.posture
+        known = posture is not None and profile is not None and now - posture[0] <= limit
+        person = None
+        if fresh and torso is not None:
+            person = self.person(torso[1], profile, posture[1] if known and posture is not None else None)
         return CellSnapshot(
             arms={arm: positions for arm, (_, positions) in self.joints.items()},
             objects={name: pose for name, (seen, pose) in self.objects.items() if now - seen <= age_limit},
-            world_from_torso=torso[1] if fresh and torso is not None else None,
+            person=person,
             gripping=self.gripping,
         )
 
@@ -211,7 +289,8 @@ class PlannerNode(HandoverNode):
         stamp = self.get_clock().now().to_msg()
         names = self.robot.arm(plan.arm).joint_names
         plan_id = f"{plan.object_name}-{stamp.sec}.{stamp.nanosec // 1000000:03d}-{next(self.numbers)}"
-        response.plan = plan_message(plan, names, plan_id, stamp)
+        profile = snapshot.person.profile if snapshot.person and plan.expected else ""
+        response.plan = plan_message(plan, names, plan_id, stamp, profile)
         response.success = True
         response.message = plan.explanation
         if plan.robot_grasp:
@@ -291,6 +370,7 @@ class PlannerNode(HandoverNode):
         values = {
             "plans": self.plans,
             "refusals": self.refusals,
+            "profile": self.profile.profile_id if self.profile else "",
             "last_problem": self.last_problem,
             "torso_age_s": now - torso[0] if torso else float("nan"),
             "objects": len(self.objects),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,11 +28,13 @@ class Facing:
         region: Name of the human grasp region that the person's hand comes to.
         yaw: Turn of the object about the vertical [rad], from the direction in which the hand reaches.
         object_from_hand: The hand at that region. Shape (4, 4).
+        object_from_other_hand: The other hand, for objects that need two. Shape (4, 4).
     """
 
     region: str
     yaw: float
     object_from_hand: FloatArray
+    object_from_other_hand: FloatArray | None = None
 
 
 @lru_cache(maxsize=MODELS)
@@ -50,6 +53,15 @@ def facings(model: ObjectModel) -> tuple[Facing, ...]:
 @lru_cache(maxsize=MODELS)
 def object_centre(model: ObjectModel) -> FloatArray:
     """Return the middle of the box around an object's solids, in its own frame [m]. Shape (3,)."""
+    corners = object_corners(model)
+    centre = (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2.0
+    centre.setflags(write=False)
+    return centre
+
+
+@lru_cache(maxsize=MODELS)
+def object_corners(model: ObjectModel) -> FloatArray:
+    """Return the corners of the boxes around an object's solids, along the axes of its own frame [m]. Shape (k, 3)."""
     corners = []
     for part in model.primitives:
         rotation, middle = part.object_from_primitive[:3, :3], part.object_from_primitive[:3, 3]
@@ -59,10 +71,10 @@ def object_centre(model: ObjectModel) -> FloatArray:
             half = np.full(3, part.size[0])
         else:
             half = np.abs(rotation[:, 2]) * part.size[1] / 2.0 + part.size[0]
-        corners += [middle - half, middle + half]
-    centre = (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2.0
-    centre.setflags(write=False)
-    return centre
+        corners += [middle + half * signs for signs in product((-1.0, 1.0), repeat=3)]
+    result = np.array(corners)
+    result.setflags(write=False)
+    return result
 
 
 def turned_object(
@@ -104,5 +116,6 @@ def _two_handed(model: ObjectModel) -> tuple[Facing, ...]:
         line = other.centre()[:2, 3] - start
         if np.linalg.norm(line) > 0.02:
             across = float(np.arctan2(line[1], line[0]))
-            return tuple(Facing(first.name, turn - across, first.centre()) for turn in (np.pi / 2.0, -np.pi / 2.0))
+            grips = first.centre(), other.centre()
+            return tuple(Facing(first.name, turn - across, *grips) for turn in (np.pi / 2.0, -np.pi / 2.0))
     return (Facing(first.name, 0.0, first.centre()),)

@@ -13,8 +13,8 @@ from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.scene import Scene
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
+from handover_ros.planning.offers import Offer, Scheme
 from handover_ros.planning.picking import Holding, Pick, Picking, held_pick
-from handover_ros.planning.schemes import Offer, Scheme
 from handover_ros.planning.types import (
     CellSnapshot,
     HandoverPlan,
@@ -111,7 +111,7 @@ class HandoverPlanner:
         scheme = self.scheme(request.scheme)
         world_from_object = self.motion.object_pose(snapshot, request.object_name)
         arms = self._arms(request, world_from_object, snapshot)
-        offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.world_from_torso)
+        offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.person)
         for arm in arms:
             lead, ready, picking = self._picking(arm, request.object_name, snapshot, search)
             search.grasps += 1 if picking is None else len(picking.grasps)
@@ -210,7 +210,7 @@ class HandoverPlanner:
         for index, object_from_gripper in enumerate(picking.grasps):
             world_from_gripper = offer.world_from_object @ object_from_gripper
             towards = float(world_from_gripper[:3, 2] @ offer.reach)
-            apart = np.linalg.norm(world_from_gripper[:3, 3] - offer.world_from_hand[:3, 3])
+            apart = min(np.linalg.norm(world_from_gripper[:3, 3] - hand[:3, 3]) for hand in offer.hands)
             if towards <= PERSON_SIDE and apart >= self.motion.settings.hand_clearance:
                 usable.append((index, world_from_gripper, towards))
         return sorted(usable, key=lambda entry: entry[2])
@@ -333,9 +333,13 @@ def _plan(
     turned = f", {offer.region} turned to the person" if offer.region else ""
     place = "the scheme's own position" if offer.nominal else "beside the scheme's position, which was out of reach"
     refused = search.offering.sentence()
+    expected = offer.expected
+    expectation = ""
+    if expected is not None:
+        expectation = f"Expected posture: {expected.words}; {expected.cost_name} cost {expected.cost:.2f}. "
     text = (
         f"The {pick.arm} arm {taken} and offers it at {where} m ({place})"
-        f"{turned}. Looked at {search.offers} offers and {search.picks} grasps; refused: {refused}."
+        f"{turned}. {expectation}Looked at {search.offers} offers and {search.picks} grasps; refused: {refused}."
     )
     return HandoverPlan(
         object_name=request.object_name,
@@ -353,4 +357,5 @@ def _plan(
         planning_time=elapsed,
         candidates=search.offers,
         explanation=text,
+        expected=expected,
     )

@@ -1,10 +1,10 @@
-"""Schemes: where an object is offered (dissertation 2.2). Here those that need no model of the person's arm."""
+"""Schemes: where an object is offered (dissertation 2.2). Here those without a model of the person, and the files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -13,53 +13,11 @@ from handover_ros.errors import ErrorCode, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.facing import facings, turned_object
+from handover_ros.planning.offers import Offer, Scheme, levelled
+from handover_ros.planning.personal import PersonalFile, PersonalScheme
+from handover_ros.planning.types import TrackedPerson
 from handover_ros.resources import config_file, config_names
 from handover_ros.yaml_file import Schema, Vector3, read_yaml
-
-
-@dataclass(frozen=True, eq=False)
-class Offer:
-    """A pose at which an object could be offered.
-
-    Attributes:
-        world_from_object: Shape (4, 4).
-        region: Human grasp region that is turned to the person; empty: none in particular.
-        world_from_hand: The person's hand there. Shape (4, 4).
-        reach: Horizontal direction in which the person's hand comes, in the world. Shape (3,).
-        nominal: Whether it is the scheme's own position, not one beside it.
-    """
-
-    world_from_object: FloatArray
-    region: str
-    world_from_hand: FloatArray
-    reach: FloatArray
-    nominal: bool
-
-
-class Scheme(Protocol):
-    """Chooses where to offer an object."""
-
-    @property
-    def name(self) -> str:
-        """Name of the scheme."""
-
-    @property
-    def needs_person(self) -> bool:
-        """Whether the torso pose must be known."""
-
-    def offers(
-        self, model: ObjectModel, world_from_base: FloatArray, world_from_torso: FloatArray | None
-    ) -> list[Offer]:
-        """Return the poses at which to offer an object, the best first; the planner takes the first it can reach.
-
-        Args:
-            model: The object.
-            world_from_base: The robot's base frame. Shape (4, 4).
-            world_from_torso: The person's torso frame (x forward, z up), or None when not known. Shape (4, 4).
-
-        Raises:
-            StaleDataError: The torso pose is needed and not known.
-        """
 
 
 class Variations(Schema):
@@ -96,7 +54,7 @@ class _RelativeFile(Schema):
 class _Kind(BaseModel):
     """Tells the kinds apart; the rest is checked by the kind's own schema."""
 
-    kind: Literal["constant", "relative"]
+    kind: Literal["constant", "relative", "personal"]
 
 
 @dataclass(frozen=True)
@@ -114,9 +72,7 @@ class ConstantScheme:
     variations: Variations
     needs_person: bool = False
 
-    def offers(
-        self, model: ObjectModel, world_from_base: FloatArray, world_from_torso: FloatArray | None
-    ) -> list[Offer]:
+    def offers(self, model: ObjectModel, world_from_base: FloatArray, person: TrackedPerson | None) -> list[Offer]:
         """Return the offers; the person is taken to stand opposite the robot, reaching towards it."""
         return _offers(model, world_from_base, -world_from_base[:3, 0], self.position, self.variations)
 
@@ -138,32 +94,18 @@ class RelativeScheme:
     variations: Variations
     needs_person: bool = True
 
-    def offers(
-        self, model: ObjectModel, world_from_base: FloatArray, world_from_torso: FloatArray | None
-    ) -> list[Offer]:
+    def offers(self, model: ObjectModel, world_from_base: FloatArray, person: TrackedPerson | None) -> list[Offer]:
         """Return the offers in front of the torso.
 
         Raises:
             StaleDataError: The torso pose is not known.
         """
-        if world_from_torso is None:
+        if person is None:
             raise StaleDataError(
                 f"scheme {self.name!r} needs the person's torso, which is not tracked", ErrorCode.PERSON_NOT_TRACKED
             )
-        frame = levelled(world_from_torso) if self.level else world_from_torso
+        frame = levelled(person.world_from_torso) if self.level else person.world_from_torso
         return _offers(model, frame, frame[:3, 0], self.position, self.variations)
-
-
-def levelled(world_from_torso: FloatArray) -> FloatArray:
-    """Return a torso frame with the same origin and heading whose z axis is vertical. Shape (4, 4)."""
-    forward = world_from_torso[:3, 0]
-    if np.hypot(forward[0], forward[1]) < 1e-6:  # bent over by a right angle: the back of the head shows the heading
-        forward = -np.sign(forward[2]) * world_from_torso[:3, 2]
-    heading = np.array([forward[0], forward[1], 0.0]) / np.hypot(forward[0], forward[1])
-    frame = np.eye(4)
-    frame[:3, 0], frame[:3, 1] = heading, np.cross([0.0, 0.0, 1.0], heading)
-    frame[:3, 3] = world_from_torso[:3, 3]
-    return frame
 
 
 def load_scheme(name: str) -> Scheme:
@@ -178,6 +120,8 @@ def load_scheme(name: str) -> Scheme:
     if kind == "constant":
         content = read_yaml(path, _ConstantFile)
         return ConstantScheme(path.stem, content.xyz, content.variations)
+    if kind == "personal":
+        return PersonalScheme(path.stem, read_yaml(path, PersonalFile))
     related = read_yaml(path, _RelativeFile)
     return RelativeScheme(path.stem, related.xyz, related.level, related.variations)
 
@@ -203,5 +147,7 @@ def _offers(
         centre = frame[:3, :3] @ (np.array(position) + shift) + frame[:3, 3]
         world_from_object = turned_object(model, centre, heading + facing.yaw + turn, tilt, reach)
         world_from_hand = world_from_object @ facing.object_from_hand
-        offers.append(Offer(world_from_object, facing.region, world_from_hand, reach, nominal=not np.any(shift)))
+        other = None if facing.object_from_other_hand is None else world_from_object @ facing.object_from_other_hand
+        nominal = not np.any(shift)
+        offers.append(Offer(world_from_object, facing.region, world_from_hand, reach, nominal, other))
     return offers

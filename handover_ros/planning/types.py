@@ -10,6 +10,7 @@ import numpy as np
 from handover_ros.errors import BadRequestError, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.robot.trajectory import Trajectory
+from handover_ros.skeleton.tree import Skeleton
 
 ROTATION_TOLERANCE = 2e-3
 
@@ -45,27 +46,88 @@ class HandoverRequest:
 
 
 @dataclass(frozen=True, eq=False)
+class TrackedPerson:
+    """What is known of the person at this moment.
+
+    Attributes:
+        world_from_torso: The torso frame (x forward, y left, z up; origin between the shoulders). Shape (4, 4).
+        skeleton: The calibrated person; None: no profile is active.
+        displacements: Where the joints of ``skeleton`` are [rad, m], shape (n,); None: not tracked.
+        dominant: Hand the person likes to take things with, ``left`` or ``right``; None: not known.
+        body_mass: [kg]; None: not known.
+        profile: Name of the person's profile; empty: none is active.
+        profile_problem: Why the active profile cannot be used; empty: it can, or none is active.
+    """
+
+    world_from_torso: FloatArray
+    skeleton: Skeleton | None = None
+    displacements: FloatArray | None = None
+    dominant: str | None = None
+    body_mass: float | None = None
+    profile: str = ""
+    profile_problem: str = ""
+
+    def __post_init__(self) -> None:
+        """Check pose, hand and shapes."""
+        check_transform(self.world_from_torso, "torso pose")
+        if self.dominant not in (None, "left", "right"):
+            raise BadRequestError(f"dominant hand {self.dominant!r}: must be left or right")
+        if self.displacements is None:
+            return
+        shape = None if self.skeleton is None else self.skeleton.lower.shape
+        if np.shape(self.displacements) != shape or not np.all(np.isfinite(self.displacements)):
+            raise BadRequestError(
+                f"displacements of the person: must be finite, one for each of the skeleton's {shape}, "
+                f"got {np.shape(self.displacements)}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedPosture:
+    """How the person is expected to stand when they take an object.
+
+    Attributes:
+        hands: ``world_from_hand`` (4, 4) of each hand that takes it, by side.
+        limbs: Shoulder, elbow, wrist and grip of that arm in the world [m], shape (4, 3), by side.
+        displacements: Of the person's skeleton [rad, m], shape (n,).
+        cost: What the posture costs.
+        cost_name: By which cost, as in ``ergonomics.costs.COSTS``.
+        words: The posture for a person, e.g. ``right arm: elbow 75 deg, shoulder 20 deg forward``.
+    """
+
+    hands: Mapping[str, FloatArray]
+    limbs: Mapping[str, FloatArray]
+    displacements: FloatArray
+    cost: float
+    cost_name: str
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
 class CellSnapshot:
     """The cell as it is when the plan is made.
 
     Attributes:
         arms: Displacements [rad] of each arm's joints. Shape (n,).
         objects: ``world_from_object`` of each object that is seen. Shape (4, 4).
-        world_from_torso: The person's torso frame, or None when nobody is tracked. Shape (4, 4).
+        person: Who is tracked, or None.
         gripping: Arms with something between their closed fingers.
     """
 
     arms: Mapping[str, FloatArray]
     objects: Mapping[str, FloatArray] = field(default_factory=dict)
-    world_from_torso: FloatArray | None = None
+    person: TrackedPerson | None = None
     gripping: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Check the poses."""
         for name, pose in self.objects.items():
             check_transform(pose, f"pose of {name}")
-        if self.world_from_torso is not None:
-            check_transform(self.world_from_torso, "torso pose")
+
+    @property
+    def world_from_torso(self) -> FloatArray | None:
+        """The person's torso frame, or None when nobody is tracked. Shape (4, 4)."""
+        return None if self.person is None else self.person.world_from_torso
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +166,7 @@ class HandoverPlan:
         planning_time: Wall time [s].
         candidates: Handover poses looked at.
         explanation: Sentences for a person.
+        expected: The posture the person is expected to take; None: the scheme knows nothing of it.
     """
 
     object_name: str
@@ -121,6 +184,7 @@ class HandoverPlan:
     planning_time: float
     candidates: int
     explanation: str
+    expected: ExpectedPosture | None = None
 
     def stage(self, name: str) -> PlannedStage:
         """Return the stage of a name; KeyError when there is none."""

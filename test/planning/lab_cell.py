@@ -4,7 +4,7 @@ import numpy as np
 
 from handover_ros.geometry import invert_transform, transform_from_xyz_rpy
 from handover_ros.objects import load_catalogue, load_scene
-from handover_ros.planning import CellSnapshot, HandoverPlanner, load_schemes
+from handover_ros.planning import CellSnapshot, HandoverPlanner, TrackedPerson, load_schemes
 from handover_ros.robot import Reason, RobotModel
 
 ROBOT = RobotModel.load()
@@ -24,7 +24,7 @@ def snapshot(**fields):
     given = {
         "arms": {arm: np.array(ROBOT.arm(arm).home) for arm in ROBOT.arm_names},
         "objects": dict(SCENE.placements),
-        "world_from_torso": torso(),
+        "person": TrackedPerson(torso()),
     }
     return CellSnapshot(**{**given, **fields})
 
@@ -33,7 +33,7 @@ def stage_checks(plan, cell):
     """Yield (stage, checker made anew for it): what the arm may touch during that stage, and what it holds."""
     motion, name = PLANNER.motion, plan.object_name
     held = motion.held_object(plan.arm, name, invert_transform(plan.object_from_gripper))
-    given = CellSnapshot(cell.arms, {**cell.objects, name: plan.world_from_object}, cell.world_from_torso)
+    given = CellSnapshot(cell.arms, {**cell.objects, name: plan.world_from_object}, cell.person)
     for stage in plan.stages:
         yield (
             stage,

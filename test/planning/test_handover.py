@@ -8,7 +8,7 @@ from lab_cell import CATALOGUE, PATIENCE, PLANNER, ROBOT, SCENE, check_plan, sna
 
 from handover_ros.errors import ErrorCode, InfeasibleError, StaleDataError, UnknownNameError
 from handover_ros.geometry import invert_transform, transform_from_xyz_rpy
-from handover_ros.planning import HandoverRequest
+from handover_ros.planning import HandoverRequest, TrackedPerson
 
 STAGES = ["approach", "grasp", "lift", "present", "retract"]
 
@@ -35,7 +35,7 @@ def test_every_object_can_be_handed_over_from_its_place(name, scheme):
 @settings(max_examples=5, deadline=None)
 def test_the_offer_follows_the_person(x, y, yaw, height):
     """Wherever the person stands within some decimetres, the mug comes in front of the torso, handle first, upright."""
-    cell = snapshot(world_from_torso=torso(x, y, yaw, height))
+    cell = snapshot(person=TrackedPerson(torso(x, y, yaw, height)))
     made = plan("mug", cell)
     check_plan(made, cell)
     seen = invert_transform(cell.world_from_torso) @ made.world_from_object
@@ -110,7 +110,7 @@ def test_an_open_hand_at_the_object_draws_back_first():
     ("fields", "words"),
     [
         ({"object_name": "teapot"}, "mug"),
-        ({"object_name": "mug", "scheme": "telepathic"}, "constant, relative"),
+        ({"object_name": "mug", "scheme": "telepathic"}, "constant, personal, relative"),
         ({"object_name": "mug", "arm": "third"}, "left, right"),
     ],
 )
@@ -126,7 +126,7 @@ def test_what_is_not_seen_cannot_be_fetched():
 
 
 def test_the_relative_scheme_needs_the_person():
-    nobody = snapshot(world_from_torso=None)
+    nobody = snapshot(person=None)
     with pytest.raises(StaleDataError, match="not tracked"):
         plan("mug", nobody)
     check = plan("mug", nobody, scheme="constant")
@@ -136,7 +136,7 @@ def test_the_relative_scheme_needs_the_person():
 def test_refusals_say_why():
     """A person out of reach, an object out of reach and a grasp too wide have each their own sentence."""
     with pytest.raises(InfeasibleError, match="out of reach") as far:
-        plan("mug", snapshot(world_from_torso=torso(x=-2.0)))
+        plan("mug", snapshot(person=TrackedPerson(torso(x=-2.0))))
     assert far.value.code is ErrorCode.NOT_REACHABLE
     away = {**SCENE.placements, "mug": transform_from_xyz_rpy([3.0, 0.0, 0.72])}
     with pytest.raises(InfeasibleError, match="cannot pick up mug") as lost:
@@ -149,6 +149,6 @@ def test_refusals_say_why():
 def test_a_person_at_the_robot_is_not_touched():
     """When the person stands where the arm would have to go, the plan is refused for the collision."""
     with pytest.raises(InfeasibleError) as caught:
-        plan("mug", snapshot(world_from_torso=torso(x=0.75)), scheme="constant")
+        plan("mug", snapshot(person=TrackedPerson(torso(x=0.75))), scheme="constant")
     assert caught.value.code in (ErrorCode.IN_COLLISION, ErrorCode.NO_PATH)
     assert "person" in str(caught.value)

@@ -6,7 +6,7 @@ from lab_cell import PATIENCE, PLANNER, ROBOT, SCENE, snapshot, torso
 
 from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError, UnknownNameError
 from handover_ros.geometry import invert_transform, make_transform
-from handover_ros.planning import HandoverRequest
+from handover_ros.planning import HandoverRequest, TrackedPerson
 from handover_ros.robot import Reason
 
 MOTION = PLANNER.motion
@@ -80,7 +80,7 @@ def test_an_arm_can_leave_a_person_who_came_close():
     reach = ROBOT.gripper_pose("left", HOME)[:3, 3]
     near = torso()
     near[:3, 3] = reach[0] + 0.36, reach[1], 1.4
-    cell = snapshot(world_from_torso=near)
+    cell = snapshot(person=TrackedPerson(near))
     checker = MOTION.checker("left", cell)
     start = checker.distance(ROBOT.configuration(cell.arms), Reason.PERSON)
     assert 0.01 < start < MOTION.settings.person_distance

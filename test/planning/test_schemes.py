@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from handover_ros.errors import BadModelError, ErrorCode, StaleDataError, UnknownNameError
 from handover_ros.geometry import invert_transform, rotation_angle, transform_from_xyz_rpy
 from handover_ros.objects import load_object
-from handover_ros.planning import load_scheme, load_schemes
+from handover_ros.planning import TrackedPerson, load_scheme, load_schemes
 from handover_ros.planning.facing import object_centre
-from handover_ros.planning.schemes import levelled
+from handover_ros.planning.offers import levelled
 
 MUG, BOX = load_object("mug"), load_object("box")
 BASE = transform_from_xyz_rpy([0.0, 0.0, 0.93])
@@ -30,7 +30,7 @@ TORSOS = st.builds(
 @settings(deadline=None, max_examples=40)
 def test_constant_ignores_the_person(torso):
     """The same offers whether nobody or anybody stands anywhere."""
-    alone, watched = CONSTANT.offers(MUG, BASE, None), CONSTANT.offers(MUG, BASE, torso)
+    alone, watched = CONSTANT.offers(MUG, BASE, None), CONSTANT.offers(MUG, BASE, TrackedPerson(torso))
     for a, b in zip(alone, watched, strict=True):
         np.testing.assert_array_equal(a.world_from_object, b.world_from_object)
 
@@ -39,7 +39,7 @@ def test_constant_ignores_the_person(torso):
 @settings(deadline=None, max_examples=40)
 def test_relative_is_constant_in_the_levelled_torso_frame(first, second):
     """Seen from the person's heading, the offers are the same wherever the person stands."""
-    one, other = RELATIVE.offers(MUG, BASE, first), RELATIVE.offers(MUG, BASE, second)
+    one, other = (RELATIVE.offers(MUG, BASE, TrackedPerson(torso)) for torso in (first, second))
     for a, b in zip(one[:10], other[:10], strict=True):
         seen_a = invert_transform(levelled(first)) @ a.world_from_object
         seen_b = invert_transform(levelled(second)) @ b.world_from_object
@@ -50,7 +50,7 @@ def test_relative_is_constant_in_the_levelled_torso_frame(first, second):
 @settings(deadline=None, max_examples=40)
 def test_nominal_offer_comes_first_and_is_upright(torso):
     """The first offer has the object's centre where the file says, the object upright, and the handle to the person."""
-    offer = RELATIVE.offers(MUG, BASE, torso)[0]
+    offer = RELATIVE.offers(MUG, BASE, TrackedPerson(torso))[0]
     centre = offer.world_from_object[:3, :3] @ object_centre(MUG) + offer.world_from_object[:3, 3]
     seen = invert_transform(levelled(torso)) @ np.append(centre, 1.0)
     np.testing.assert_allclose(seen[:3], RELATIVE.position, atol=1e-9)
@@ -63,8 +63,10 @@ def test_nominal_offer_comes_first_and_is_upright(torso):
 @settings(deadline=None, max_examples=40)
 def test_only_what_may_lean_leans(torso):
     """Open containers stay upright in every offer; others also come leaning away from the person."""
-    assert all(offer.world_from_object[2, 2] > 1 - 1e-9 for offer in RELATIVE.offers(MUG, BASE, torso))
-    leaning = [offer for offer in RELATIVE.offers(BOX, BASE, torso) if offer.world_from_object[2, 2] < 0.99]
+    assert all(offer.world_from_object[2, 2] > 1 - 1e-9 for offer in RELATIVE.offers(MUG, BASE, TrackedPerson(torso)))
+    leaning = [
+        offer for offer in RELATIVE.offers(BOX, BASE, TrackedPerson(torso)) if offer.world_from_object[2, 2] < 0.99
+    ]
     assert leaning
     assert all(offer.world_from_object[:3, 2] @ offer.reach > 0 for offer in leaning)
 
@@ -96,8 +98,8 @@ def test_relative_needs_the_person():
 
 
 def test_shipped_schemes():
-    assert set(load_schemes()) == {"constant", "relative"}
-    with pytest.raises(UnknownNameError, match="constant, relative"):
+    assert set(load_schemes()) == {"constant", "personal", "relative"}
+    with pytest.raises(UnknownNameError, match="constant, personal, relative"):
         load_scheme("telepathic")
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handover_ros.errors import BadRequestError
-from handover_ros.planning import CellSnapshot, HandoverRequest
+from handover_ros.planning import CellSnapshot, HandoverRequest, TrackedPerson
 
 STRETCHED = np.diag([1.1, 1.0, 1.0, 1.0])
 MIRRORED = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -19,7 +19,7 @@ def test_poses_must_be_rigid_and_finite(pose):
     with pytest.raises(BadRequestError, match="mug"):
         CellSnapshot({}, {"mug": pose})
     with pytest.raises(BadRequestError, match="torso"):
-        CellSnapshot({}, {}, pose)
+        TrackedPerson(pose)
 
 
 @pytest.mark.parametrize("budget", [-1.0, float("nan"), float("inf")])
