@@ -11,7 +11,7 @@ import numpy as np
 from handover_ros.geometry import FloatArray
 from handover_ros.skeleton.angles import GIMBAL
 from handover_ros.skeleton.kernels import turn_of_quaternion
-from handover_ros.skeleton.tree import IntArray, JointKind, Skeleton
+from handover_ros.skeleton.tree import FlatTree, IntArray, JointKind, Skeleton
 from handover_ros.skeleton.ukf_kernels import apply_shift, truncate
 
 BALL, FREE = int(JointKind.BALL), int(JointKind.FREE)
@@ -50,7 +50,14 @@ def limit_table(skeleton: Skeleton, margin: float) -> tuple[IntArray, FloatArray
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def ball_angles(axes, q, start, home, angles, rates):
+def ball_angles(
+    axes: FloatArray,
+    q: FloatArray,
+    start: int,
+    home: FloatArray,
+    angles: FloatArray,
+    rates: FloatArray,
+) -> float:
     """Fill the three angles of a ball joint (``angles.euler_angles``) and d(angles)/d(tangent) (3, 3)."""
     turn, local = np.empty((3, 3)), np.empty((3, 3))
     turn_of_quaternion(q, start, turn)
@@ -80,7 +87,17 @@ def ball_angles(axes, q, start, home, angles, rates):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def apply_limits(tree, q, rates, covariance, joints, axes, lower, upper, home):
+def apply_limits(
+    tree: FlatTree,
+    q: FloatArray,
+    rates: FloatArray,
+    covariance: FloatArray,
+    joints: IntArray,
+    axes: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    home: FloatArray,
+) -> None:
     """Cut the estimate at the joint limits it reaches over, in place; rates that lead further out are changed with it.
 
     Args:
@@ -142,8 +159,17 @@ def displacement_table(skeleton: Skeleton, home: FloatArray) -> DisplacementTabl
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def read_displacements(tree, table, q, rates, covariance, displacements, velocities, spread):
-    """Fill displacements (n,), their rates (n,) and covariance (n, n) from posture, tangent rates (nv,) and covariance."""
+def read_displacements(
+    tree: FlatTree,
+    table: DisplacementTable,
+    q: FloatArray,
+    rates: FloatArray,
+    covariance: FloatArray,
+    displacements: FloatArray,
+    velocities: FloatArray,
+    spread: FloatArray,
+) -> None:
+    """Fill displacements (n,), their rates (n,) and covariance (n, n) from those of posture and tangent."""
     n, nv = displacements.shape[0], rates.shape[0]
     mapping = np.zeros((n, nv))
     angles, gradient = np.empty(3), np.empty((3, 3))

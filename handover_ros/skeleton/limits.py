@@ -36,8 +36,8 @@ def estimate_limits(
 ) -> tuple[FloatArray, FloatArray]:
     """Return lower and upper limits (n,) [rad] or [m] of what the person did.
 
-    The limit is where the smoothed displacement spends no more than 0.15 % of the time beyond: three turning points of a
-    calibration motion are longer than that, single bad frames are not. Angles of a ball joint whose middle angle is
+    The limit is where the smoothed displacement spends no more than 0.15 % of the time beyond: three turning points of
+    a calibration motion are longer than that, single bad frames are not. Angles of a ball joint whose middle angle is
     near 90 degrees, and frames in which a displacement is hardly known, are left out.
 
     Args:

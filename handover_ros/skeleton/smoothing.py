@@ -24,8 +24,8 @@ class SmoothedMotion:
         velocities: Shape (frames, n).
         deviations: Standard deviations of the displacements, shape (frames, n).
         world_from_root: Root poses, shape (frames, 4, 4).
-        residuals: Distances of the measured markers from the skeleton's [m], shape (frames, m), NaN = not measured; markers
-            in the skeleton's order.
+        residuals: Distances of the measured markers from the skeleton's [m], shape (frames, m), NaN = not measured;
+            markers in the skeleton's order.
         gated: Measurements that were not believed.
         reacquired: Times the posture was found anew.
     """

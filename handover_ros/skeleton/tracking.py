@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,12 @@ from handover_ros.skeleton.ukf_kernels import (
 BRIDGED = int(MarkerStatus.BRIDGED)
 BRIDGED_FACTOR = 5.0  # a predicted marker is this many times less certain than a measured one
 FEWEST_MARKERS = 3
+# The densities follow how much the rates had to be corrected lately: up quickly, down slowly, within these multiples of
+# where they start. In balance the corrections' variance is what the dynamics add (Mehra 1972); a share of it is aimed
+# at, since people's motions are smoother than white acceleration.
+RISE, FALL = 0.05, 0.2  # [s] time constants
+AIMED_SHARE = 0.7
+CALMEST, LIVELIEST = 1.0 / 60.0, 5.0
 STARTLED = 100.0  # times the usual noise of the dynamics in a frame with a sudden motion
 
 
@@ -40,10 +46,12 @@ class TrackingSettings:
 
     Attributes:
         marker_noise: Standard deviation of a marker's coordinate about the skeleton [m]: of the device, and of skin.
-        rotation_noise: Spectral density of what drives the joints: for order 2 of angular acceleration [rad^2/s^3], for order
-            3 of angular jerk [rad^2/s^5].
+        rotation_noise: Spectral density of what drives the joints: for order 2 of angular acceleration [rad^2/s^3], for
+            order 3 of angular jerk [rad^2/s^5].
         translation_noise: The same for prismatic joints and the root's position [m^2/s^3] or [m^2/s^5].
         order: 2: displacements and rates, 3: accelerations too.
+        adaptive: Whether the spectral density of each tangent follows the motion (order 2 only); the two values above
+            are where it starts.
         gate: Squared Mahalanobis distance (3 degrees of freedom) beyond which a marker is not believed; inf: none.
         limits: Whether joint limits bound the estimate.
         limit_margin: How far [rad] or [m] beyond the calibrated limits a joint may go.
@@ -57,6 +65,7 @@ class TrackingSettings:
     rotation_noise: float = 60.0
     translation_noise: float = 2.0
     order: int = 2
+    adaptive: bool = True
     gate: float = 30.0
     limits: bool = True
     limit_margin: float = 0.035
@@ -158,6 +167,7 @@ class SkeletonTracker:
                 self._spectral[own] = self.settings.translation_noise
             elif joint.kind.name == "FREE":
                 self._spectral[own.start : own.start + 3] = self.settings.translation_noise
+        self._first_spectral = self._spectral.copy()
         count, size = len(known), self.settings.order * self._tangents
         self._gain = np.empty((size, self._tangents))
         self._mean = np.empty((count, 3))
@@ -165,7 +175,7 @@ class SkeletonTracker:
         self._status = np.full(count, GATED, dtype=np.int64)
         self._measured = np.empty((count, 3))
         self._variance = np.empty(count)
-        self._nothing = _nothing(self.skeleton)
+        self._not_valid = _not_valid(self.skeleton)
         self.home = np.where(
             np.isfinite(self.skeleton.lower) & np.isfinite(self.skeleton.upper), self.skeleton.middle, 0.0
         )
@@ -181,6 +191,8 @@ class SkeletonTracker:
         size = self.settings.order * self._tangents
         self.rates = np.zeros((self.settings.order - 1, self._tangents))
         self.error_covariance = np.eye(size)
+        self._spectral[:] = self._first_spectral
+        self._activity = self._first_spectral.copy()
         self._stamp = self._seen = -math.inf
 
     @property
@@ -219,7 +231,7 @@ class SkeletonTracker:
         predict(self._tree, self.coordinates, self.rates, self.error_covariance, transition, noise, self._spectral)
 
     def _judge(self, observed: FloatArray) -> tuple[int, int]:
-        """Predict the markers and decide which measurements to believe; return the numbers of disbelieved and believed."""
+        """Predict the markers, decide which measurements to believe; return the numbers of disbelieved and believed."""
         if not factor_columns(self.error_covariance, self._tangents, self._gain):
             raise BadModelError(f"skeleton {self.skeleton.name!r}: the filter's covariance is not positive definite")
         spread_points(self._tree, self.coordinates, self._gain, self._mean, self._first, self._second)
@@ -255,6 +267,7 @@ class SkeletonTracker:
                 return int(np.count_nonzero(np.isfinite(observed[:, 0]))), math.nan
         self.gated += gated
         self.relabelled += int(np.count_nonzero(self._status == RELABELLED))
+        before = self.rates[0].copy()
         squared, used = update(
             self._tree,
             self.coordinates,
@@ -268,9 +281,23 @@ class SkeletonTracker:
             self._status,
             self._variance,
         )
+        if self.settings.adaptive and self.settings.order == 2 and used:
+            self._adapt(self.rates[0] - before, elapsed)
         if self.settings.limits:
             apply_limits(self._tree, self.coordinates, self.rates, self.error_covariance, *self._limits)
         return used, squared
+
+    def _adapt(self, correction: FloatArray, elapsed: float) -> None:
+        """Let the spectral densities follow the corrections (nv,) of the rates."""
+        seen = correction**2 / elapsed
+        share = np.where(seen > self._activity, -math.expm1(-elapsed / RISE), -math.expm1(-elapsed / FALL))
+        self._activity += share * (seen - self._activity)
+        np.clip(
+            AIMED_SHARE * self._activity,
+            CALMEST * self._first_spectral,
+            LIVELIEST * self._first_spectral,
+            out=self._spectral,
+        )
 
     def _look_for(self, stamp: float, observed: FloatArray) -> SkeletonEstimate:
         """Find the posture in one frame by itself."""
@@ -337,7 +364,7 @@ class SkeletonTracker:
 
     def _lost(self, stamp: float) -> SkeletonEstimate:
         """Return the estimate of a frame in which the posture is not known."""
-        return SkeletonEstimate(stamp, False, *self._nothing)
+        return replace(self._not_valid, stamp=stamp)
 
 
 def root_pose_of(skeleton: Skeleton, coordinates: FloatArray) -> FloatArray:
@@ -349,21 +376,23 @@ def root_pose_of(skeleton: Skeleton, coordinates: FloatArray) -> FloatArray:
     return pose
 
 
-def _nothing(skeleton: Skeleton) -> tuple[object, ...]:
-    """Return the numbers of an estimate that is not valid."""
+def _not_valid(skeleton: Skeleton) -> SkeletonEstimate:
+    """Return an estimate that is not valid; its stamp is to be set."""
     n, nan = len(skeleton.displacement_names), math.nan
-    return (
-        np.full((4, 4), nan),
-        np.full((6, 6), nan),
-        np.full(6, nan),
-        np.full(n, nan),
-        np.full(n, nan),
-        np.full((n, n), nan),
-        0,
-        nan,
-        nan,
-        0.0,
-        np.full((len(skeleton.marker_names), 3), nan),
+    return SkeletonEstimate(
+        stamp=nan,
+        valid=False,
+        world_from_torso=np.full((4, 4), nan),
+        torso_covariance=np.full((6, 6), nan),
+        torso_velocity=np.full(6, nan),
+        displacements=np.full(n, nan),
+        velocities=np.full(n, nan),
+        covariance=np.full((n, n), nan),
+        markers_used=0,
+        residual_rms=nan,
+        consistency=nan,
+        confidence=0.0,
+        marker_predictions=np.full((len(skeleton.marker_names), 3), nan),
     )
 
 

@@ -1,15 +1,16 @@
 """Compiled unscented Kalman filter over a skeleton's posture (eq. 2.7), equal to the plain one of ``ukf_reference``.
 
-The state is a posture, on its manifold, and the derivatives of its tangent up to ``order - 1`` (rates, accelerations). The
-error state e = (tangent, rates, ...) of length order * nv is Gaussian with covariance P. Two facts make it fast:
+The state is a posture, on its manifold, and the derivatives of its tangent up to ``order - 1`` (rates, accelerations).
+The error state e = (tangent, rates, ...) of length order * nv is Gaussian with covariance P. Two facts make it fast:
 
 * The dynamics are linear in the error state, so that prediction is exact without sigma points.
 * Markers depend on the posture only. With the lower Cholesky factor of P the sigma points of the other parts leave the
   markers where they are: 2 nv points are looked at instead of 2 order nv, and the result is the same.
 
-With B_j = (h+ - h-) / (2 sqrt(c)) and E_j = (h+ + h- - 2 mean) / (2 sqrt(c)) the innovation covariance is S = B B^T + E E^T + R,
-and with M = 1 + [E B]^T R^-1 [E B] = L L^T the update needs no matrix as large as the measurement:
-de = G (M^-1 [E B]^T R^-1 v)_B and P - G (1 - (M^-1)_BB) G^T, where G holds the first nv columns of the factor of P.
+With B_j = (h+ - h-) / (2 sqrt(c)) and E_j = (h+ + h- - 2 mean) / (2 sqrt(c)) the innovation covariance is
+S = B B^T + E E^T + R, and with M = 1 + [E B]^T R^-1 [E B] = L L^T the update needs no matrix as large as the
+measurement: de = G (M^-1 [E B]^T R^-1 v)_B and P - G (1 - (M^-1)_BB) G^T, where G holds the first nv columns of the
+factor of P.
 """
 
 from __future__ import annotations
@@ -19,14 +20,24 @@ import math
 import numba
 import numpy as np
 
+from handover_ros.geometry import FloatArray
 from handover_ros.skeleton.kernels import joint_poses, move, place_markers
 from handover_ros.skeleton.normal_equations import cholesky_in_place
+from handover_ros.skeleton.tree import FlatTree, IntArray
 
 SEEN, MISSING, GATED, RELABELLED = 0, 1, 2, 3  # what became of a marker
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def predict(tree, q, rates, covariance, transition, noise, spectral):
+def predict(
+    tree: FlatTree,
+    q: FloatArray,
+    rates: FloatArray,
+    covariance: FloatArray,
+    transition: FloatArray,
+    noise: FloatArray,
+    spectral: FloatArray,
+) -> None:
     """Move posture and covariance on by one step of linear dynamics, in place.
 
     Args:
@@ -70,7 +81,11 @@ def predict(tree, q, rates, covariance, transition, noise, spectral):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def factor_columns(covariance, nv, out):
+def factor_columns(
+    covariance: FloatArray,
+    nv: int,
+    out: FloatArray,
+) -> bool:
     """Fill ``out`` (n, nv) with the first nv columns of the lower Cholesky factor of P; return whether that worked."""
     n = covariance.shape[0]
     for j in range(nv):
@@ -92,7 +107,14 @@ def factor_columns(covariance, nv, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def spread_points(tree, q, gain, mean, first, second):
+def spread_points(
+    tree: FlatTree,
+    q: FloatArray,
+    gain: FloatArray,
+    mean: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+) -> None:
     """Look at the sigma points: fill the mean (m, 3), B (m, 3, nv) and E (m, 3, nv) of the predicted markers [m].
 
     The centre has no weight (the choice alpha^2 = nv / n, beta = alpha^2 - 1, kappa = 0 of Merwe's points), so that all
@@ -130,7 +152,13 @@ def spread_points(tree, q, gain, mean, first, second):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def marker_distance(position, mean, first, second, variance):
+def marker_distance(
+    position: FloatArray,
+    mean: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    variance: float,
+) -> float:
     """Return the squared Mahalanobis distance of a measured position (3,) from one marker's prediction."""
     s = np.zeros((3, 3))
     for r in range(3):
@@ -153,7 +181,16 @@ def marker_distance(position, mean, first, second, variance):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def judge_markers(observed, mean, first, second, variance, gate, status, measured):
+def judge_markers(
+    observed: FloatArray,
+    mean: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    variance: FloatArray,
+    gate: float,
+    status: IntArray,
+    measured: FloatArray,
+) -> None:
     """Decide which measurements to believe, and put swapped labels back.
 
     Args:
@@ -198,7 +235,19 @@ def judge_markers(observed, mean, first, second, variance, gate, status, measure
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def update(tree, q, rates, covariance, gain, mean, first, second, measured, status, variance):
+def update(
+    tree: FlatTree,
+    q: FloatArray,
+    rates: FloatArray,
+    covariance: FloatArray,
+    gain: FloatArray,
+    mean: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    measured: FloatArray,
+    status: IntArray,
+    variance: FloatArray,
+) -> tuple[float, int]:
     """Correct posture, rates and covariance by the believed markers, in place.
 
     Args:
@@ -276,14 +325,24 @@ def update(tree, q, rates, covariance, gain, mean, first, second, measured, stat
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def add_scaled(row, factor, other, count):
+def add_scaled(
+    row: FloatArray,
+    factor: float,
+    other: FloatArray,
+    count: int,
+) -> None:
     """Add factor * other[:count] to row[:count], in place."""
     for c in range(count):
         row[c] += factor * other[c]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def apply_shift(tree, q, rates, shift):
+def apply_shift(
+    tree: FlatTree,
+    q: FloatArray,
+    rates: FloatArray,
+    shift: FloatArray,
+) -> None:
     """Move posture and rates by an error state (n,), in place."""
     nv = rates.shape[1]
     move(tree, q, shift[:nv])
@@ -293,7 +352,13 @@ def apply_shift(tree, q, rates, shift):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def posterior_distance(tree, q, measured, status, predictions):
+def posterior_distance(
+    tree: FlatTree,
+    q: FloatArray,
+    measured: FloatArray,
+    status: IntArray,
+    predictions: FloatArray,
+) -> float:
     """Fill the predicted markers (m, 3) and return the sum of squared distances [m^2] of the believed ones."""
     joints = tree.kind.shape[0]
     rotation, translation = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3))
@@ -308,7 +373,14 @@ def posterior_distance(tree, q, measured, status, predictions):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def truncate(covariance, direction, value, limit, upper, shift):
+def truncate(
+    covariance: FloatArray,
+    direction: FloatArray,
+    value: float,
+    limit: float,
+    upper: bool,
+    shift: FloatArray,
+) -> float:
     """Take into account that a linear function of the state lies on one side of a limit; return its change.
 
     The Gaussian of the function is cut at the limit and replaced by the Gaussian with the mean and variance of what is
