@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.errors import BadRecordingError, ErrorCode
 from handover_ros.geometry import FloatArray
@@ -11,11 +12,20 @@ from handover_ros.skeleton.templates import MINIMUM_ROOT_MARKERS, NamedTemplate
 from handover_ros.skeleton.tree import WORLD, JointKind, Skeleton
 
 LEAST_FRAMES = 60
+NUMBERS_SEEN = (0, 3, 5, 6)  # of a segment's pose by 0, 1, 2, 3 or more markers
+SPARE_NUMBERS = 2  # in each frame beyond the displacements before a segment; with less, other axes fit as well
 SEEN_SHARE = 0.05  # a marker seen in less than this share of the frames does not count
-LARGEST_SEGMENT = 1.0  # [m] between two markers of one segment
-SMALLEST_DISTANCE = 0.003  # [m]
-LARGEST_BEND = 0.03  # [m] by which the distance of two markers on one segment may vary
+LARGEST_SEGMENT = 1.0  # [m] between a marker and the nearest one of its segment
+SMALLEST_SEGMENT = 0.003  # [m] between the markers of a segment that are farthest apart
+LARGEST_BEND = 0.04  # [m] by which a distance on one segment may vary; skin and fingers in real recordings: 26 mm
 UNIT_JUMP = 5.0  # factor between the sizes of the person in two frames
+FEW_SAMPLES = 10  # a distance seen less often than this says nothing
+SWAP_JUMP = 0.015  # [m] from one frame to the next
+SWAP_RATIO = 0.5  # exchanging labels shortens the jumps to less than this; a segment would have to turn by 127 deg
+SWAP_GAP = 0.04  # [s] over which a hidden marker's last and next place are used
+SWAP_SHARE = 0.01  # of the time under the other's name; less does not spoil a robust fit
+OUTLYING = 4.0  # times the usual error of a marker; skin in real recordings: 2.4
+OUTLYING_ERROR = 0.006  # [m]
 WRONG_SIDE_SHARE = 0.25
 BACKWARDS = np.deg2rad(30.0)
 LEAST_MOTION = {"angle": np.deg2rad(25.0), "length": 0.02}
@@ -23,6 +33,7 @@ LARGEST_FIT_RMS = 0.015  # [m]; the dissertation's own mean reprojection error i
 LARGEST_AXIS_ERROR = np.deg2rad(5.0)
 LARGEST_POINT_ERROR = 0.015  # [m]
 MANY_MISSING = 0.5
+VAGUE = {"angle": np.deg2rad(20.0), "length": 0.05}  # standard deviation of a displacement in a single frame
 
 
 def check_amount(recording: Recording, template: NamedTemplate) -> None:
@@ -40,17 +51,46 @@ def check_amount(recording: Recording, template: NamedTemplate) -> None:
         )
     seen = np.isfinite(recording.positions[:, :, 0]).mean(axis=0) >= SEEN_SHARE
     ends = set(content.segments) - {joint.parent for joint in content.joints}
-    for segment in content.segments:
-        names = [name for name, own in zip(recording.names, recording.segments) if own == segment]
-        shown = [n for n, own, ok in zip(recording.names, recording.segments, seen) if own == segment and ok]
+    shown: dict[str, list[str]] = {segment: [] for segment in content.segments}
+    unseen: dict[str, list[str]] = {segment: [] for segment in content.segments}
+    for name, segment, enough in zip(recording.names, recording.segments, seen):
+        if segment in shown:
+            (shown if enough else unseen)[segment].append(name)
+    unplaced = displacements_between(template, {segment for segment, names in shown.items() if names} | ends)
+    for segment, names in shown.items():
         needed = MINIMUM_ROOT_MARKERS if segment == content.root and segment != WORLD else 1 if segment in ends else 0
-        if len(shown) < needed:
-            hidden = ", ".join(name for name in names if name not in shown) or "none in the marker set"
+        count = unplaced.get(segment, 0)
+        if count:
+            needed = next((k for k, numbers in enumerate(NUMBERS_SEEN) if numbers >= count + SPARE_NUMBERS), 3)
+        if len(names) < needed:
+            hidden = unseen[segment] or [name for each in content.segments for name in unseen[each]]
             raise BadRecordingError(
-                f"{where}: segment {segment!r} shows {len(shown)} markers, template {template.name!r} needs {needed} "
-                f"(not seen: {hidden}); uncover or add markers, or choose another template",
+                f"{where}: segment {segment!r} shows {len(names)} markers, template {template.name!r} needs {needed} "
+                + (f"for {count} displacements between it and the next markers " if count else "")
+                + f"(not seen: {', '.join(hidden) or 'none in the marker set'}); uncover or add markers, or choose "
+                "another template",
                 ErrorCode.NOT_ENOUGH_DATA,
             )
+
+
+def displacements_between(template: NamedTemplate, segments: set[str]) -> dict[str, int]:
+    """Return for each of some segments the number of displacements between it and the next of them towards the root.
+
+    Joints that two of them share count for the first one only.
+    """
+    joints = {joint.segment: joint for joint in template.content.joints}
+    counted: set[str] = set()
+    result = {}
+    for segment in joints:
+        if segment not in segments:
+            continue
+        at, count = segment, 0
+        while at in joints and at not in counted:
+            counted.add(at)
+            count += len(joints[at].displacements)
+            at = joints[at].parent
+        result[segment] = count
+    return result
 
 
 def input_problems(recording: Recording, world_from_torso: FloatArray | None, template: NamedTemplate) -> list[str]:
@@ -65,61 +105,125 @@ def input_problems(recording: Recording, world_from_torso: FloatArray | None, te
     problems = unit_problems(recording)
     if problems:
         return problems
-    return [*rigidity_problems(recording, template), *side_problems(recording, world_from_torso, template)]
+    swapped = swap_problems(recording)
+    rigid = [] if swapped else rigidity_problems(recording, template)
+    return [*swapped, *rigid, *side_problems(recording, world_from_torso, template)]
+
+
+def segment_distances(recording: Recording) -> dict[tuple[int, int], FloatArray]:
+    """Return the distance (frames,) [m] of every two markers of one segment that are seen together often enough."""
+    distances = {}
+    for i, segment in enumerate(recording.segments):
+        for j in range(i + 1, len(recording.segments)):
+            if recording.segments[j] == segment:
+                distance = np.linalg.norm(recording.positions[:, i] - recording.positions[:, j], axis=1)
+                if np.isfinite(distance).sum() >= FEW_SAMPLES:
+                    distances[i, j] = distance
+    return distances
 
 
 def unit_problems(recording: Recording) -> list[str]:
-    """Return which markers or frames seem to be in another unit than the rest."""
-    positions = recording.positions
-    middle = np.nanmedian(positions, axis=1, keepdims=True)
-    with np.errstate(invalid="ignore"):
-        size = np.nanmedian(np.linalg.norm(positions - middle, axis=2), axis=1)
-    usual = float(np.nanmedian(size))
-    odd = np.flatnonzero((size > UNIT_JUMP * usual) | (size < usual / UNIT_JUMP))
-    if len(odd) > 0.01 * len(size):
-        ratio = float(np.nanmedian(size[odd])) / usual
+    """Return which markers or frames seem to be in another unit than metres, or than the rest.
+
+    Distances on one segment hardly change, whatever the posture and whichever markers are seen: they tell the unit.
+    """
+    distances = segment_distances(recording)
+    if not distances:
+        return []
+    typical = {pair: float(np.nanmedian(distance)) for pair, distance in distances.items()}
+    ratios = np.column_stack([distance / max(typical[pair], 1e-9) for pair, distance in distances.items()])
+    frames = np.flatnonzero(np.isfinite(ratios).any(axis=1))
+    ratio = np.nanmedian(ratios[frames], axis=1)
+    odd = (ratio > UNIT_JUMP) | (ratio < 1.0 / UNIT_JUMP)
+    if odd.any():
         return [
-            f"frames {odd[0]} to {odd[-1]} show the person {ratio:.3g} times as large as the others: units are mixed "
-            "(mm and m?); bring all frames to one unit"
+            f"{int(odd.sum())} frames between {frames[odd][0]} and {frames[odd][-1]} show the person "
+            f"{float(np.median(ratio[odd])):.3g} times as large as the others: units are mixed (mm and m?); bring all "
+            "frames to one unit"
+        ]
+    extents: dict[str, float] = {}
+    for (i, _), distance in typical.items():
+        extents[recording.segments[i]] = max(extents.get(recording.segments[i], 0.0), distance)
+    extent = float(np.median(list(extents.values())))
+    if not SMALLEST_SEGMENT < extent < LARGEST_SEGMENT:
+        return [
+            f"the markers of one segment lie {extent:.3g} m apart (expected {SMALLEST_SEGMENT:g} to "
+            f"{LARGEST_SEGMENT:g} m): the recording is in another unit; state its unit in the marker set"
         ]
     problems = []
-    for segment in dict.fromkeys(recording.segments):
-        rows = [i for i, own in enumerate(recording.segments) if own == segment]
-        typical = np.nanmedian(positions[:, rows], axis=0)
-        for i, row in enumerate(rows):
-            others = [k for k in range(len(rows)) if k != i]
-            if not others or np.isnan(typical[i]).any():
-                continue
-            distance = float(np.nanmedian(np.linalg.norm(typical[others] - typical[i], axis=1)))
-            if distance > LARGEST_SEGMENT:
-                problems.append(
-                    f"marker {recording.names[row]} lies {distance:.3g} m from the other markers of {segment}: is its "
-                    "unit another one, or does it sit on another segment?"
-                )
+    for row, name in enumerate(recording.names):
+        near = [distance for pair, distance in typical.items() if row in pair]
+        if near and min(near) > LARGEST_SEGMENT:
+            problems.append(
+                f"marker {name} lies {min(near):.3g} m from the other markers of {recording.segments[row]}: bring it "
+                "to the unit of the others, or mend its segment in the marker set"
+            )
     return problems
+
+
+def swap_problems(recording: Recording) -> list[str]:
+    """Return the pairs of markers that carry each other's name for a part of the time.
+
+    Where labels change places both markers jump to where the other one was just before; no body moves like that.
+    """
+    gap = round(SWAP_GAP * recording.rate)
+    before = remembered(recording.positions, gap)[:-1]
+    after = remembered(recording.positions[::-1], gap)[::-1][1:]
+    jump = np.linalg.norm(after - before, axis=2)
+    jumped = np.nan_to_num(jump) > SWAP_JUMP
+    candidates = []
+    for i in range(len(recording.names)):
+        for j in range(i + 1, len(recording.names)):
+            at = np.flatnonzero(jumped[:, i] & jumped[:, j])
+            crossed = np.linalg.norm(after[at, i] - before[at, j], axis=1)
+            crossed += np.linalg.norm(after[at, j] - before[at, i], axis=1)
+            shorter = crossed < SWAP_RATIO * (jump[at, i] + jump[at, j])
+            candidates += [(int(k) + 1, length, i, j) for k, length in zip(at[shorter], crossed[shorter])]
+    under_other_name: dict[tuple[int, int], npt.NDArray[np.bool_]] = {}
+    taken: set[tuple[int, int]] = set()
+    for frame, _, i, j in sorted(candidates):  # where several markers jump, the shortest exchange is the true one
+        if (frame, i) in taken or (frame, j) in taken:
+            continue
+        taken |= {(frame, i), (frame, j)}
+        under_other_name.setdefault((i, j), np.zeros(recording.frames, dtype=bool))[frame:] ^= True
+    found = []
+    for (i, j), frames in under_other_name.items():
+        share = float(min(frames.mean(), 1.0 - frames.mean()))
+        if share > SWAP_SHARE:
+            found.append((share, f"{recording.names[i]} and {recording.names[j]}", int(np.argmax(frames))))
+    if not found:
+        return []
+    names = ", ".join(pair for _, pair, _ in found[:4]) + (f" and {len(found) - 4} more" if len(found) > 4 else "")
+    return [
+        f"markers {names} change places at frame {min(frame for *_, frame in found)} and carry each other's name "
+        f"{100 * max(found)[0]:.0f} % of the time: their labels are swapped; mend the labels"
+    ]
+
+
+def remembered(positions: FloatArray, frames: int) -> FloatArray:
+    """Return positions (frames, n, 3) with hidden markers at their last place for a number of frames."""
+    result = positions.copy()
+    for _ in range(frames):
+        hidden = np.isnan(result[1:, :, 0])
+        if not hidden.any():
+            break
+        result[1:][hidden] = result[:-1][hidden]
+    return result
 
 
 def rigidity_problems(recording: Recording, template: NamedTemplate) -> list[str]:
     """Return pairs of markers of one segment whose distance changes more than skin moves."""
-    problems = []
-    for segment in template.content.segments:
-        rows = [i for i, own in enumerate(recording.segments) if own == segment]
-        worst: tuple[float, str] = (0.0, "")
-        for a, i in enumerate(rows):
-            for j in rows[a + 1 :]:
-                distance = np.linalg.norm(recording.positions[:, i] - recording.positions[:, j], axis=1)
-                distance = distance[np.isfinite(distance)]
-                if len(distance) < 10:
-                    continue
-                spread = float(np.subtract(*np.quantile(distance, [0.95, 0.05])))
-                if spread > worst[0]:
-                    worst = spread, f"{recording.names[i]} and {recording.names[j]}"
-        if worst[0] > 2.0 * LARGEST_BEND:
-            problems.append(
-                f"markers {worst[1]} of {segment} change their distance by {1e3 * worst[0]:.0f} mm, so they are not on "
-                "one rigid segment: look for swapped labels, or change their segment in the marker set"
-            )
-    return problems
+    worst: dict[str, tuple[float, str]] = {}
+    for (i, j), distance in segment_distances(recording).items():
+        spread = float(np.subtract(*np.quantile(distance[np.isfinite(distance)], [0.95, 0.05])))
+        names = f"{recording.names[i]} and {recording.names[j]}"
+        worst[recording.segments[i]] = max(worst.get(recording.segments[i], (0.0, "")), (spread, names))
+    return [
+        f"markers {worst[segment][1]} of {segment} change their distance by {1e3 * worst[segment][0]:.0f} mm, so they "
+        "are not on one rigid segment: look for a loose marker or swapped labels, or mend the segment in the marker set"
+        for segment in template.content.segments
+        if segment in worst and worst[segment][0] > LARGEST_BEND
+    ]
 
 
 def side_problems(recording: Recording, world_from_torso: FloatArray | None, template: NamedTemplate) -> list[str]:
@@ -145,6 +249,47 @@ def side_problems(recording: Recording, world_from_torso: FloatArray | None, tem
     return problems
 
 
+def inseparable_joints(skeleton: Skeleton, deviations: FloatArray) -> list[str]:
+    """Return the displacements that trade places with others, given their standard deviations (frames, n) [rad] or [m].
+
+    A joint that did not move may be fitted with the axis of its neighbour: the markers fit, but only the sum of the two
+    displacements means anything. In a single frame this shows, since no marker tells one from the other.
+    """
+    usual = np.median(deviations, axis=0)
+    prismatic = np.array([skeleton.joints[j].kind is JointKind.PRISMATIC for j in skeleton.displacement_joints])
+    vague = np.flatnonzero(usual > np.where(prismatic, VAGUE["length"], VAGUE["angle"]))
+    if not len(vague):
+        return []
+    names = " and ".join(skeleton.displacement_names[i].replace("_", " ") for i in vague)
+    worst = int(vague[np.argmax(usual[vague])])
+    amount = f"{1e3 * usual[worst]:.0f} mm" if prismatic[worst] else f"{np.rad2deg(min(usual[worst], np.pi)):.0f} deg"
+    return [
+        f"{names} cannot be told apart (known to {amount} only in each frame): one of them hardly moved, or too few "
+        "markers show it; move each by itself through its full range"
+    ]
+
+
+def outlying_markers(skeleton: Skeleton, residuals: FloatArray) -> list[str]:
+    """Return the markers that the skeleton explains far worse than the others, given distances (frames, m) [m].
+
+    A few bad frames do not count: the worst twentieth of a marker's distances is not looked at.
+    """
+    usual = np.full(residuals.shape[1], np.nan)
+    for i, column in enumerate(residuals.T):
+        seen = column[np.isfinite(column)]
+        if len(seen) >= FEW_SAMPLES:
+            usual[i] = np.quantile(seen, 0.95)
+    if not np.isfinite(usual).any():
+        return []
+    typical = float(np.nanmedian(usual))
+    return [
+        f"marker {skeleton.marker_names[i]} of {skeleton.marker_segments[i]} is off by {1e3 * usual[i]:.0f} mm where "
+        f"others are off by {1e3 * typical:.1f} mm: it or its neighbour is loose, held still by the system, or on "
+        "another segment; fasten it, or mend its segment in the marker set"
+        for i in np.flatnonzero(np.nan_to_num(usual) > max(OUTLYING * typical, OUTLYING_ERROR))
+    ]
+
+
 def fit_problems(
     skeleton: Skeleton, fit_rms: float, marker_rms: dict[str, float], template: NamedTemplate
 ) -> list[str]:
@@ -157,6 +302,12 @@ def fit_problems(
             f"the skeleton does not explain the markers: {1e3 * fit_rms:.1f} mm rms (limit "
             f"{1e3 * LARGEST_FIT_RMS:.0f} mm), worst {names}; look for swapped labels (left and right?), "
             "loose markers, or choose another template"
+        )
+    moved = np.where(np.isfinite(skeleton.upper - skeleton.lower), skeleton.upper - skeleton.lower, 0.0)
+    if 2 * (few := len(motion_advice(skeleton, moved))) > len(moved):
+        problems.append(
+            f"{few} of {len(moved)} displacements hardly changed, so that axes and lengths cannot be told: record the "
+            "calibration motions, each joint through its full range"
         )
     for joint in template.content.joints:
         if not joint.one_way or joint.displacements[0] not in skeleton.displacement_names:

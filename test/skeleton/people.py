@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -183,7 +184,7 @@ def sweeps(skeleton: Skeleton, frames: int = 900, rate: float = 50.0, noise: flo
     count, still = len(skeleton.displacement_names), frames // 15
     displacements = np.zeros((frames, count))
     bounds = np.linspace(still, frames, count + 1).astype(int)
-    for own, (start, stop) in enumerate(zip(bounds[:-1], bounds[1:])):
+    for own, (start, stop) in enumerate(pairwise(bounds)):
         phase = np.linspace(0.0, 1.0, stop - start)
         blend = np.minimum(1.0, 8.0 * np.minimum(phase, 1.0 - phase))
         low, high = skeleton.lower[own], skeleton.upper[own]
