@@ -9,7 +9,14 @@ from handover_ros.geometry import FloatArray
 from handover_ros.mocap.frames import Recording
 from handover_ros.skeleton.calibration_report import CalibrationReport, JointQuality, MarkerError
 from handover_ros.skeleton.certainty import posture_deviations, standard_errors
-from handover_ros.skeleton.checks import certainty_advice, fit_problems, missing_advice, motion_advice
+from handover_ros.skeleton.checks import (
+    certainty_advice,
+    fit_problems,
+    inseparable_joints,
+    missing_advice,
+    motion_advice,
+    outlying_markers,
+)
 from handover_ros.skeleton.kernels import forward
 from handover_ros.skeleton.layout import Layout
 from handover_ros.skeleton.limits import estimate_limits
@@ -52,17 +59,29 @@ def summarise(
     tree = skeleton.tree
     residuals = np.linalg.norm(forward(tree, coordinates) - observed[fitted], axis=2)
     noise = robust_sigma(residuals)
-    displacements = skeleton.displacements(coordinates, near=np.zeros(len(skeleton.displacement_names)))
-    deviations = noise * posture_deviations(skeleton, coordinates, observed[fitted])
-    step = float(np.median(np.diff(fitted))) if len(fitted) > 1 else 1.0
+    others = held_out_postures(tree, coordinates, observed, fitted, held_out, scale)
+    left_out = np.linalg.norm(forward(tree, others) - observed[held_out], axis=2)
+    # Limits from all frames: what a joint reached may lie in the frames left out, and gaps would spoil the smoothing.
+    frames = np.concatenate([fitted, held_out])
+    order = np.argsort(frames)
+    frames, postures = frames[order], np.concatenate([coordinates, others])[order]
+    displacements = skeleton.displacements(postures, near=np.zeros(len(skeleton.displacement_names)))
+    deviations = noise * posture_deviations(skeleton, postures, observed[frames])
+    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
     lower, upper = estimate_limits(skeleton, displacements, deviations, recording.rate / step)
     moved = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     skeleton = skeleton.with_limits(lower, upper)
     axis_errors, point_errors = standard_errors(tree, layout, coordinates, observed[fitted], noise)
-    left_out = held_out_residuals(tree, coordinates, observed, fitted, held_out, scale)
     markers = marker_errors(skeleton, residuals, left_out)
     fit_rms = rms_of(residuals)
-    problems = [*problems, *fit_problems(skeleton, fit_rms, {m.name: m.fitted_rms for m in markers}, template)]
+    fit_rms_of = {marker.name: marker.fitted_rms for marker in markers}
+    problems = [
+        *problems,
+        *fit_problems(skeleton, fit_rms, fit_rms_of, template),
+        *inseparable_joints(skeleton, deviations),
+    ]
+    if not problems:
+        problems = outlying_markers(skeleton, residuals)
     names = [joint.name for joint in skeleton.joints]
     still_joints = motion_advice(skeleton, moved)
     told = {name for name in names if any(name.replace("_", " ") in sentence for sentence in still_joints)}
@@ -98,7 +117,7 @@ def summarise(
     return skeleton, report
 
 
-def held_out_residuals(
+def held_out_postures(
     tree: FlatTree,
     coordinates: FloatArray,
     observed: FloatArray,
@@ -106,12 +125,12 @@ def held_out_residuals(
     held_out: npt.NDArray[np.intp],
     scale: float,
 ) -> FloatArray:
-    """Return the distances (frames, m) [m] of frames that were left out, each with its own best posture."""
+    """Return the best postures (frames, nq) of the frames that were left out of the fit."""
     if not len(held_out):
-        return np.full((0, observed.shape[1]), np.nan)
+        return coordinates[:0]
     near = coordinates[np.abs(held_out[:, None] - fitted[None]).argmin(axis=1)]
     postures, _ = solve_postures(tree, near, observed[held_out], scale, iterations=8)
-    return np.linalg.norm(forward(tree, postures) - observed[held_out], axis=2)
+    return postures
 
 
 def marker_errors(skeleton: Skeleton, residuals: FloatArray, left_out: FloatArray) -> tuple[MarkerError, ...]:

@@ -207,4 +207,4 @@ def ancestors(tree: FlatTree) -> IntArray:
 def forward(tree: FlatTree, coordinates: FloatArray) -> FloatArray:
     """Return marker positions (..., m, 3) [m] at coordinates (..., nq): one frame, many frames or sigma points."""
     flat = np.ascontiguousarray(np.reshape(coordinates, (-1, coordinates.shape[-1])), dtype=float)
-    return np.asarray(marker_positions(tree, flat)).reshape(*coordinates.shape[:-1], -1, 3)
+    return np.asarray(marker_positions(tree, flat)).reshape(*coordinates.shape[:-1], len(tree.marker), 3)

@@ -327,6 +327,11 @@ def test_many_frames_and_sigma_points_are_each_alone(seed):
         np.testing.assert_allclose(roots[index], poses[index], atol=1e-12)
 
 
+def test_no_frames_are_no_markers():
+    skeleton = two_joints()
+    assert forward(skeleton.tree, np.zeros((0, 2))).shape == (0, 2, 3)
+
+
 def test_prediction_error_is_the_sum_over_what_was_measured():
     """Equation 2.6 on one frame: two markers off by 3 and 4 cm, one of them then hidden."""
     skeleton = two_joints()
