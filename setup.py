@@ -50,7 +50,11 @@ setup(
         "pillow>=10.0",
         "threadpoolctl>=3.2",
     ],
-    extras_require={"test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8"]},
+    extras_require={
+        "test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8"],
+        # Whom ./handover bench measures against; it installs them by itself, in a folder of their own.
+        "bench": ["biorbd==1.12.4"],
+    },
     zip_safe=True,
     maintainer="The handover_ros maintainers",
     maintainer_email="maintainers@handover-cell.org",

@@ -1,4 +1,4 @@
-"""``./handover COMMAND``: set up if needed, then run; ``doctor`` and ``test`` are done here."""
+"""``./handover COMMAND``: set up if needed, then run; ``doctor``, ``bench`` and ``test`` are done here."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ The first command sets this clone up (a few minutes, 2 GB in .handover/), then r
   up       run the cell until Ctrl-C
   run      run one node
   doctor   what is installed, what is missing, what to type
+  bench    measure, with other people's programs in the same run
   test     run all tests
   setup    set up and stop there
 
@@ -61,6 +62,8 @@ def _dispatch(arguments: list[str], source: Path) -> int:
         return 0
     if command == "test":
         return _run_tests(setup, arguments[1:])
+    if command == "bench":
+        return _replace(setup, ["-m", "bench", *arguments[1:]])
     return _replace(setup, ["-m", "handover_ros.cli", *(["--help"] if asks_for_help else arguments)])
 
 

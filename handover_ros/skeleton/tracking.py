@@ -21,6 +21,7 @@ from handover_ros.skeleton.ukf_kernels import (
     RELABELLED,
     SEEN,
     factor_columns,
+    follow_liveliness,
     judge_markers,
     posterior_distance,
     predict,
@@ -235,7 +236,7 @@ class SkeletonTracker:
         if not factor_columns(self.error_covariance, self._tangents, self._gain):
             raise BadModelError(f"skeleton {self.skeleton.name!r}: the filter's covariance is not positive definite")
         spread_points(self._tree, self.coordinates, self._gain, self._mean, self._first, self._second)
-        judge_markers(
+        return judge_markers(
             observed,
             self._mean,
             self._first,
@@ -245,7 +246,6 @@ class SkeletonTracker:
             self._status,
             self._measured,
         )
-        return int(np.count_nonzero(self._status == GATED)), int(np.count_nonzero(self._status == SEEN))
 
     def _correct(self, observed: FloatArray, elapsed: float) -> tuple[int, float]:
         """Correct by the markers; return how many were believed and the normalised innovation squared."""
@@ -266,7 +266,8 @@ class SkeletonTracker:
                 self._restart(found)
                 return int(np.count_nonzero(np.isfinite(observed[:, 0]))), math.nan
         self.gated += gated
-        self.relabelled += int(np.count_nonzero(self._status == RELABELLED))
+        if seen < len(self._columns):
+            self.relabelled += int(np.count_nonzero(self._status == RELABELLED))
         before = self.rates[0].copy()
         squared, used = update(
             self._tree,
@@ -282,22 +283,21 @@ class SkeletonTracker:
             self._variance,
         )
         if self.settings.adaptive and self.settings.order == 2 and used:
-            self._adapt(self.rates[0] - before, elapsed)
+            follow_liveliness(
+                self._spectral,
+                self._activity,
+                self._first_spectral,
+                self.rates[0] - before,
+                elapsed,
+                RISE,
+                FALL,
+                AIMED_SHARE,
+                CALMEST,
+                LIVELIEST,
+            )
         if self.settings.limits:
             apply_limits(self._tree, self.coordinates, self.rates, self.error_covariance, *self._limits)
         return used, squared
-
-    def _adapt(self, correction: FloatArray, elapsed: float) -> None:
-        """Let the spectral densities follow the corrections (nv,) of the rates."""
-        seen = correction**2 / elapsed
-        share = np.where(seen > self._activity, -math.expm1(-elapsed / RISE), -math.expm1(-elapsed / FALL))
-        self._activity += share * (seen - self._activity)
-        np.clip(
-            AIMED_SHARE * self._activity,
-            CALMEST * self._first_spectral,
-            LIVELIEST * self._first_spectral,
-            out=self._spectral,
-        )
 
     def _look_for(self, stamp: float, observed: FloatArray) -> SkeletonEstimate:
         """Find the posture in one frame by itself."""

@@ -190,7 +190,7 @@ def judge_markers(
     gate: float,
     status: IntArray,
     measured: FloatArray,
-) -> None:
+) -> tuple[int, int]:
     """Decide which measurements to believe, and put swapped labels back.
 
     Args:
@@ -202,9 +202,12 @@ def judge_markers(
         gate: Largest squared Mahalanobis distance; inf: believe all.
         status: Filled with SEEN, MISSING, GATED or RELABELLED, shape (m,).
         measured: Filled with the positions to use [m], shape (m, 3).
+
+    Returns:
+        How many measurements are not believed, and how many are, under their own label.
     """
     markers = observed.shape[0]
-    gated = 0
+    gated = seen = 0
     for m in range(markers):
         measured[m] = observed[m]
         if math.isnan(observed[m, 0]):
@@ -214,8 +217,9 @@ def judge_markers(
             gated += 1
         else:
             status[m] = SEEN
+            seen += 1
     if gated == 0:
-        return
+        return 0, seen
     # What was measured under a label that it does not fit may belong to another marker that lacks a measurement.
     free = status == GATED
     for m in range(markers):
@@ -230,8 +234,10 @@ def judge_markers(
                 best, from_ = distance, other
         if from_ >= 0:
             measured[m] = observed[from_]
+            gated -= status[m] == GATED
             status[m] = RELABELLED
             free[from_] = False
+    return gated, seen
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -420,3 +426,37 @@ def truncate(
         for k in range(n):
             covariance[i, k] += column[i] * column[k] * (kept - 1.0) / variance
     return change
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def follow_liveliness(
+    spectral: FloatArray,
+    activity: FloatArray,
+    first: FloatArray,
+    correction: FloatArray,
+    elapsed: float,
+    rise: float,
+    fall: float,
+    aimed: float,
+    calmest: float,
+    liveliest: float,
+) -> None:
+    """Let the spectral densities (nv,) follow the corrections (nv,) of the rates, in place.
+
+    Args:
+        spectral: The densities, changed.
+        activity: Recent squared corrections for each second, changed.
+        first: Densities to begin with.
+        correction: What the last update changed the rates by.
+        elapsed: Time since the frame before [s].
+        rise: Time constant of a growing activity [s].
+        fall: Of a fading one [s].
+        aimed: Share of the activity that becomes the density.
+        calmest: Smallest density as a multiple of the first.
+        liveliest: Greatest one.
+    """
+    up, down = -math.expm1(-elapsed / rise), -math.expm1(-elapsed / fall)
+    for i in range(spectral.shape[0]):
+        seen = correction[i] * correction[i] / elapsed
+        activity[i] += (up if seen > activity[i] else down) * (seen - activity[i])
+        spectral[i] = min(max(aimed * activity[i], calmest * first[i]), liveliest * first[i])

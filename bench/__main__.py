@@ -1,0 +1,97 @@
+"""``./handover bench``: our numbers and those of the peers, measured in the same run."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from bench import calibration, tracking
+from bench.bench_simulation import factor
+from bench.peers import peer
+from handover_ros.cell.report import write_json
+from handover_ros.errors import HandoverError
+from handover_ros.sim.options import SimulationOptions
+
+PARTS = ("tracking", "calibration", "simulation")
+# What the design asks for: metric, relation, value.
+REACH = {
+    "ukf_speed_over_biorbd": (">=", 1.0),
+    "ukf_speed_over_filterpy": (">=", 10.0),
+    "ukf_robust_diverged": ("<=", 0.0),
+    "calibration_s": ("<=", 2.0),
+    "calibration_time_exponent": ("<=", 1.1),
+    "calibration_stalls": ("<=", 0.0),
+    "calibration_speed_over_scipy": (">=", 10.0),
+    "calibration_centre_max_mm": ("<=", 5.0),
+    "calibration_elbow_forearm_axis_max_deg": ("<=", 1.5),
+    "calibration_wrist_axis_max_deg": ("<=", 1.5),
+    "calibration_limit_max_deg": ("<=", 3.0),
+    "sim_realtime_factor": (">=", 5.0),
+}
+AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
+EXIT_BAD_INPUT = 2
+
+
+def verdict(name: str, metrics: dict[str, float]) -> tuple[str, str]:
+    """Return what to reach, as text, and whether it is reached: yes, no or nothing."""
+    relation, target = REACH.get(name, ("", 0.0))
+    if name in AGAINST_PEER and AGAINST_PEER[name] in metrics:
+        relation, target = "<=", metrics[AGAINST_PEER[name]]
+    if not relation:
+        return "", ""
+    reached = metrics[name] >= target if relation == ">=" else metrics[name] <= target
+    return f"{relation} {target:.4g}", "[green]yes[/green]" if reached else "[red]no[/red]"
+
+
+def bench(
+    part: Annotated[str, typer.Argument(help=f"One of {', '.join(PARTS)}, or all.")] = "all",
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer frames, people and rounds.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of people, motions and noise.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for bench.json.")] = None,
+) -> None:
+    """Measure tracking, calibration and simulation, with the peers in the same run."""
+    if part not in (*PARTS, "all"):
+        raise typer.BadParameter(f"unknown part {part!r}; known: {', '.join(PARTS)}, all")
+    console, metrics = Console(), {}
+    if part in ("tracking", "all"):
+        console.print("tracking ...")
+        metrics |= tracking.measure(seed, quick, peer("biorbd"))
+    if part in ("calibration", "all"):
+        console.print("calibration ...")
+        metrics |= calibration.measure(seed, quick)
+    if part in ("simulation", "all"):
+        console.print("simulation ...")
+        metrics["sim_realtime_factor"] = factor(5.0 if quick else 20.0, "calibrate", SimulationOptions())
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("metric", "value", "to reach", "reached"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for name, value in metrics.items():
+        table.add_row(name, f"{value:.4g}", *verdict(name, metrics))
+    console.print(table)
+    for target in filter(None, (out / "bench.json" if out else None, json_file)):
+        write_json(target, "bench", True, seed, metrics)
+
+
+def main() -> int:
+    """Run the command; what the user can mend becomes one line and status 2."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(bench)
+    try:
+        app(standalone_mode=False, prog_name="./handover bench")
+    except (HandoverError, typer.BadParameter.__base__) as error:  # type: ignore[misc]
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        print(f"error: {' '.join(message.split())}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except (typer.Abort, KeyboardInterrupt):
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

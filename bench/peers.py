@@ -1,0 +1,31 @@
+"""Other people's programs to measure against: installed on first use in a folder of their own, never in the cell's."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+PEERS = {"biorbd": "biorbd==1.12.4"}  # as in setup.py, extra "bench"
+
+
+def peer(name: str) -> ModuleType | None:
+    """Return a peer's module, installed if need be; None, with one line, where it cannot be had."""
+    folder = Path(sys.prefix).parent / "peers"
+    if not (folder / name).is_dir():
+        print(f"installing {PEERS[name]} into {folder} ...", flush=True)
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), PEERS[name]]
+        answer = subprocess.run(command, capture_output=True, text=True, check=False)
+        if answer.returncode:
+            reason = (answer.stderr.strip().splitlines() or ["pip failed"])[-1]
+            print(f"without {name}: it cannot be installed here ({reason})", flush=True)
+            return None
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        print(f"without {name}: it does not load here ({error})", flush=True)
+        return None
