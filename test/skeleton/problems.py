@@ -57,6 +57,8 @@ def mixed_problem(seed, frames=4, free=True, missing=0.2, noise=0.05):
     coordinates = skeleton.coordinates(theta, poses)
     measured = forward(skeleton.tree, coordinates) + noise * rng.normal(size=(frames, len(places), 3))
     measured[rng.random(measured.shape[:2]) < missing] = np.nan
+    never = np.isnan(measured[:, :, 0]).all(axis=0)  # such a marker's place could be anywhere
+    measured[0, never] = forward(skeleton.tree, coordinates[0])[never]
     layout = parameter_layout(skeleton.tree, meets)
     return Problem(skeleton, layout, coordinates, measured, skeleton.tree, coordinates)
 

@@ -15,7 +15,7 @@ from handover_ros.skeleton.prediction_error import FitSettings, minimise
 from handover_ros.skeleton.tree import Joint, JointKind, Skeleton
 
 NOISE = 0.001
-FITS = 80
+FITS = 60
 LIKE = 1.4  # the factor within which an error and a scatter of FITS fits must agree
 
 

@@ -196,7 +196,7 @@ def test_with_geometry_keeps_the_axes_of_balls():
 # Twists (eq. 2.1, 2.12).
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seeds)
 def test_twists_fix_their_axis_and_have_unit_pitchless_turns(seed):
     """Equation 2.12: a revolute twist is (p x w, w), a prismatic one (w, 0), a ball three turns about one point."""
@@ -280,7 +280,7 @@ def test_rates_of_ball_angles_are_their_derivatives(seed):
 # Forward kinematics.
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seeds, st.booleans())
 def test_compiled_kinematics_are_the_dissertations_product_of_exponentials(seed, free):
     """Equations 2.3 and 2.4 with matrix exponentials, to 1e-12."""
