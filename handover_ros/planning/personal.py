@@ -34,7 +34,7 @@ SIDES = ("right", "left")
 BODY_MASS = 75.0  # [kg] of a person of whom it is not known
 START_STEP = 0.2  # [rad] to which the posture before is rounded: a swaying person gets the same answer
 GRID_LENGTH, GRID_ANGLE = 0.05, 0.5  # [m], [rad]
-GRASPS_PER_REGION = 7
+GRASPS_PER_REGION = 5
 LEAST_APART = 0.15  # [m] between two hands on one object
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # the left hand where a region is written for the right
 PEOPLE = 8  # searches that are kept
@@ -56,7 +56,7 @@ class ZoneFile(Schema):
     heights: tuple[Metres, Metres] = (-0.50, -0.05)
     in_front: Metres = 0.20
     clearance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.10
-    limit_margin: Annotated[float, Field(ge=0.0, le=1.0)] = 0.03
+    limit_margin: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
 
     @model_validator(mode="after")
     def _check(self) -> ZoneFile:

@@ -30,13 +30,14 @@ BoolArray = npt.NDArray[np.bool_]
 
 HEAD = np.array([0.0, 0.0, HEAD_HEIGHT])  # [m] of the head's centre, torso frame
 TRUNK_TOP = -TRUNK_RADIUS / 2.0  # [m] where the axis of the trunk's capsule ends, as robot.shapes has it
-STEPS, PASSES = 25, 4
+STEPS, PASSES, ONLY_ADDING = 25, 5, 2
+IDLE = 1e-9  # multiplier below which a demand is not needed
 LONGEST_STEP = 0.5  # [rad]
 DAMPING = 1e-6  # [m]
 REACHED = 2e-4  # [m], angles times ANGLE_LENGTH
 STILL = 1e-5  # [rad] of a step that ends the search
 SPREADS = (0.15, 0.35, 1.0)  # of the ranges, around the preferred posture
-SEEDS = 16  # per spread and hand
+SEEDS = 12  # per spread and hand
 ROUNDS, PARENTS, CHILDREN = ((0.12, 4), (0.05, 2)), 3, 8  # refinement: spread and how many are kept to refine
 DISTINCT_PLACE, DISTINCT_POSTURE = 0.04, 0.30  # [m], [rad]: postures nearer than both are one
 APART = 0.12  # [m] between the hands of alternatives, beside the nearest ones
@@ -221,11 +222,11 @@ class PostureSearch:
     ) -> FloatArray:
         """Return the postures (k, n) nearest to the anchors that fulfil the demands, linear about ``now``, and limits.
 
-        Inequalities and limits that the answer would break become equations, pass by pass.
+        Inequalities and limits that the answer would break become equations, pass by pass; those not needed are let go.
         """
         active, held, target = equal.copy(), np.zeros(now.shape, dtype=bool), anchors.copy()
-        wanted = anchors
-        for _ in range(PASSES):
+        wanted, middle = anchors, 0.5 * (self._lower + self._upper)
+        for number in range(PASSES):
             matrix = np.where(held[:, None, :], 0.0, slopes) * active[..., None]
             gap = values + (slopes @ (target - now)[..., None])[..., 0]
             normal = matrix @ np.swapaxes(matrix, 1, 2) + DAMPING * np.eye(values.shape[1])
@@ -234,11 +235,18 @@ class PostureSearch:
             predicted = values + (slopes @ (wanted - now)[..., None])[..., 0]
             broken = (predicted > 0.5 * REACHED) & ~equal & ~active
             outside = ((wanted < self._lower - 1e-9) | (wanted > self._upper + 1e-9)) & ~held
-            if not (broken.any() or outside.any()):
+            idle = np.zeros_like(active)
+            free = np.zeros_like(held)
+            if number < PASSES - ONLY_ADDING:
+                # What only holds the posture back from its anchor is let go: its multiplier has the wrong sign.
+                idle = active & ~equal & (factors[..., 0] < -IDLE)
+                pull = wanted - anchors + (np.swapaxes(slopes * active[..., None], 1, 2) @ factors)[..., 0]
+                free = held & (np.where(wanted > middle, pull, -pull) > IDLE)
+            if not (broken.any() or outside.any() or idle.any() or free.any()):
                 break
-            active |= broken
-            held |= outside
-            target = np.where(outside, np.clip(wanted, self._lower, self._upper), target)
+            active = (active | broken) & ~idle
+            held = (held | outside) & ~free
+            target = np.where(held, np.clip(wanted, self._lower, self._upper), anchors)
         return np.clip(wanted, self._lower, self._upper)
 
     def _demands(self, postures: FloatArray, holds: list[Hold]) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from geometry_msgs.msg import PoseWithCovariance
 from graph import FIRST_CONTACT, Graph, NodeProcess, wait_for
-from handover_msgs.msg import GripperState, HandoverPlan, Heartbeat, ObjectStates, SkeletonState
+from handover_msgs.msg import ActiveProfile, GripperState, HandoverPlan, Heartbeat, ObjectStates, SkeletonState
 from handover_msgs.srv import PlanHandover, PlanMotion
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
@@ -17,11 +17,16 @@ from visualization_msgs.msg import MarkerArray
 from handover_ros.errors import ErrorCode
 from handover_ros.geometry import pose_from_transform
 from handover_ros.nodes.convert import float_array, pose_message, trajectory_arrays, transform_from_message
+from handover_ros.nodes.convert_profile import active_profile_message
 from handover_ros.nodes.planner_node import PARAMETERS
 from handover_ros.nodes.runtime import LATCHED, SENSOR_PUBLISHER
 from handover_ros.objects import load_scene
 from handover_ros.resources import config_directory
 from handover_ros.robot import RobotModel
+from handover_ros.sim.person_skeleton import skeleton_of
+from handover_ros.sim.person_spec import load_person
+from handover_ros.skeleton.calibration_report import CalibrationReport
+from handover_ros.skeleton.profile import Profile
 
 pytestmark = pytest.mark.graph
 
@@ -39,6 +44,7 @@ class Cell:
     objects: dict[str, np.ndarray] | None = None
     arms: dict[str, np.ndarray] | None = None
     gripping: bool = False
+    profile: Profile | None = None
 
     def __post_init__(self) -> None:
         scene = load_scene("lab")
@@ -56,7 +62,13 @@ class Cell:
                 ("human/skeleton_state", SkeletonState),
             )
         }
+        self.profile_publisher = node.create_publisher(ActiveProfile, "calibration/active_profile", LATCHED)
         node.create_timer(0.05, self.publish)
+
+    def activate(self, profile: Profile | None) -> None:
+        """Play the calibration node: somebody else is active now, or nobody."""
+        self.profile = profile
+        self.profile_publisher.publish(active_profile_message(profile))
 
     def publish(self) -> None:
         if self.arms is not None:
@@ -69,7 +81,12 @@ class Cell:
             self.publishers["objects/states"].publish(states)
         if self.torso is not None:
             pose = PoseWithCovariance(pose=pose_message(self.torso))
-            self.publishers["human/skeleton_state"].publish(SkeletonState(valid=True, torso=pose))
+            state = SkeletonState(valid=True, torso=pose)
+            if self.profile is not None:
+                state.profile_id = self.profile.profile_id
+                state.joint_names = list(self.profile.skeleton.displacement_names)
+                state.displacements = float_array(self.profile.skeleton.middle)
+            self.publishers["human/skeleton_state"].publish(state)
         arms = list(self.robot.arm_names)
         state = GripperState(arms=arms, gripping=[self.gripping and arm == "left" for arm in arms])
         self.publishers["robot/gripper_state"].publish(state)
@@ -243,6 +260,74 @@ def test_unseen_object_and_lost_person_are_named(cell, clients):
         cell.objects, cell.torso, cell.arms = objects, torso, arms
 
 
+def profile_of(name: str) -> Profile:
+    """Return the profile of a simulated person, as a perfect calibration would store it."""
+    report = CalibrationReport(1200, 300, 0.0, 0.001, 0.001, 1.0, (), (), (), ())
+    skeleton = skeleton_of(load_person(name))
+    return Profile(name, name.title(), "2026-01-31T12:00:00Z", "upper_body_24", "upper_body", skeleton, report)
+
+
+def test_personal_scheme_follows_the_active_profile(cell, clients):
+    """Without a profile the scheme says what to do; with one the plan is that person's, for another one another."""
+    wait_until_plans(clients, object_name="mug")
+    refusal = plan(clients, object_name="mug", scheme="personal")
+    assert refusal.error_code == ErrorCode.BAD_REQUEST
+    assert "calibrate" in refusal.message
+    assert "relative" in refusal.message
+    node, pictures = cell.graph.node, []
+    subscription = node.create_subscription(MarkerArray, "planner/visual", pictures.append, LATCHED)
+    plans = {}
+    try:
+        for name in ("adult", "strapped"):
+            cell.activate(profile_of(name))
+            answer = wait_for(
+                lambda name=name: (
+                    (a := plan(clients, object_name="mug", scheme="personal")).success
+                    and a.plan.person_model == name
+                    and a
+                ),
+                PLANNING,
+                f"a plan for {name}",
+            )
+            assert "arm: elbow" in answer.message
+            assert np.isfinite(answer.plan.expected_cost)
+            plans[name] = transform_from_message(answer.plan.handover_pose)
+            assert plans[name][2, 2] > 1.0 - 1e-6
+        assert np.linalg.norm(plans["adult"][:3, 3] - plans["strapped"][:3, 3]) > 0.05
+        drawn = [marker for marker in pictures[-1].markers if marker.ns == "expected_posture"]
+        assert [len(marker.points) for marker in drawn] == [4]
+        relative = plan(clients, object_name="mug", scheme="relative")
+        assert relative.plan.person_model == ""
+        assert np.isnan(relative.plan.expected_cost)
+    finally:
+        cell.activate(None)
+        node.destroy_subscription(subscription)
+
+
+def test_a_bad_profile_leaves_the_node_up(cell, clients):
+    """A document that cannot be used is named in heartbeat and refusal; other schemes go on; a good one mends it."""
+    beats = []
+    subscription = cell.graph.node.create_subscription(
+        Heartbeat,
+        "cell/heartbeat",
+        lambda beat: beats.append(beat) if beat.node == "planner_node" else None,
+        SENSOR_PUBLISHER,
+    )
+    try:
+        cell.profile_publisher.publish(ActiveProfile(document='{"format": "handover_ros profile", "version": 1}'))
+        wait_for(lambda: beats and beats[-1].state == Heartbeat.DEGRADED, FIRST_CONTACT, "the degraded sentence")
+        assert "calibration/active_profile" in beats[-1].summary
+        refusal = plan(clients, object_name="mug", scheme="personal")
+        assert refusal.error_code == ErrorCode.BAD_REQUEST
+        assert "calibration/active_profile" in refusal.message
+        assert plan(clients, object_name="mug", scheme="relative").success
+        cell.activate(None)
+        wait_for(lambda: beats[-1].state == Heartbeat.READY, FIRST_CONTACT, "the node to be ready again")
+    finally:
+        cell.activate(None)
+        cell.graph.node.destroy_subscription(subscription)
+
+
 def test_heart_beats_while_it_plans_and_requests_queue(cell, clients):
     """While plans are made, heartbeats go on, and a request that comes meanwhile is answered after the first."""
     wait_until_plans(clients, object_name="mug")
@@ -266,7 +351,9 @@ def test_parameter_file_names_declared_parameters_only():
     assert content["planner_node"]["ros__parameters"] == {spec.name: spec.default for spec in PARAMETERS}
 
 
-@pytest.mark.parametrize(("name", "value"), [("scene", "nowhere"), ("time_budget", "-1.0"), ("no_such_parameter", "1")])
+@pytest.mark.parametrize(
+    ("name", "value"), [("scene", "nowhere"), ("time_budget", "-1.0"), ("body_mass", "0.0"), ("no_such_parameter", "1")]
+)
 def test_bad_parameters_end_the_node_with_one_line(name, value):
     """A wrong parameter ends the node with status 2 and one line."""
     with domain_coordinator.domain_id() as domain:
