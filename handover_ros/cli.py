@@ -61,7 +61,9 @@ def demo(
     objects: Annotated[
         list[str] | None, typer.Option("--object", help="Object to hand over; repeat for a sequence.")
     ] = None,
-    scheme: Annotated[str, typer.Option(help="How the handover pose is chosen: constant or relative.")] = "relative",
+    scheme: Annotated[
+        str, typer.Option(help="How the handover pose is chosen: constant, relative or personal.")
+    ] = "relative",
     person: PersonOption = "adult",
     robot: RobotOption = "baxter",
     scene: SceneOption = "lab",

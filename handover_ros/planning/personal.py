@@ -145,12 +145,13 @@ class PersonalScheme:
         frame = levelled(person.world_from_torso) if self.level else person.world_from_torso
         corners = object_corners(model)
         offers: list[Offer] = []
-        least = min((cost for _, cost, *_ in ranked), default=0.0)
-        for *_, number, index in sorted(ranked):
+        least = np.inf  # cost of the first offer
+        for _, cost, _, number, index in sorted(ranked):
             torso_from_object = _object_pose(grasps[number], found[number], index)
             if np.min(body_distance(transform_points(torso_from_object, corners))) < self.content.zone.clearance:
                 continue
-            nominal = found[number].costs[index] <= least
+            least = cost if not offers else least
+            nominal = cost <= least
             offers.append(self._offer(search, frame, torso_from_object, grasps[number], found[number], index, nominal))
             if len(offers) == self.content.most_offers:
                 break
