@@ -25,7 +25,7 @@ from handover_ros.planning.taking_postures import PostureSearch, body_distance
 from handover_ros.robot import RobotModel
 from handover_ros.sim.person_skeleton import skeleton_of
 from handover_ros.sim.person_spec import load_person
-from handover_ros.skeleton.templates import blank_skeleton, load_template
+from handover_ros.skeleton.tree import WORLD
 
 CATALOGUE = load_catalogue()
 BASE = RobotModel.load().world_from_base
@@ -240,7 +240,8 @@ def test_nobody_and_nobody_calibrated_say_what_to_do():
 
 def test_skeletons_that_cannot_be_used_are_named():
     adult = PEOPLE["adult"]
-    fixed = blank_skeleton(load_template("two_dof_arm"), (), ())
+    hung = tuple(replace(joint, parent=WORLD) if joint.parent == "torso" else joint for joint in adult.joints[1:])
+    fixed = replace(adult, joints=hung, marker_names=(), marker_segments=(), markers=np.zeros((0, 3)))
     unknown = adult.with_limits(adult.lower, np.where(np.arange(14) == 3, np.inf, adult.upper))
     for skeleton, words in (
         (replace(adult, hands=()), "no hands"),
