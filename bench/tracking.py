@@ -25,6 +25,7 @@ from handover_ros.skeleton.ukf_reference import PlainFilter
 ROUNDS = 3
 MOTIONS_EACH = 3  # of each kind
 PLAIN_FRAMES = 150
+PLAIN_DENSITY = 20.0  # [rad^2/s^3]
 # biorbd's default factors and others around them; its best is reported beside its default.
 BIORBD_FACTORS = ((None, None), (1e-7, 1e-4), (1e-8, 1e-4), (1e-9, 1e-4))
 WRONG = 20.0  # [deg] an error beyond is no tracking any more
@@ -51,7 +52,7 @@ def plain(skeleton: Skeleton, motion: TrackedMotion) -> tuple[np.ndarray, np.nda
     start_posture = skeleton.coordinates(motion.displacements[0])
     filter_ = PlainFilter(skeleton.tree, start_posture, covariance, order=2)
     transition, noise = linear_dynamics(1.0 / RATE, 2)
-    spectral = np.full(count, TrackingSettings().rotation_noise)
+    spectral = np.full(count, PLAIN_DENSITY)
     result, seconds = np.empty_like(motion.displacements), np.empty(len(motion.markers))
     for index, positions in enumerate(motion.markers):
         start = time.perf_counter()

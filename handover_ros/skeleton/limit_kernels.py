@@ -18,8 +18,18 @@ BALL, FREE = int(JointKind.BALL), int(JointKind.FREE)
 NEAR_POLE = 2.0 * GIMBAL
 
 
-def limit_table(skeleton: Skeleton, margin: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return (joint of each limited row, axes (rows, 3, 3), lower (rows, 3), upper (rows, 3), home (rows, 3)).
+class LimitTable(NamedTuple):
+    """What ``apply_limits`` needs of a skeleton; one row for each joint that has a limit."""
+
+    joints: IntArray  # (rows,)
+    axes: FloatArray  # (rows, 3, 3) of ball joints
+    lower: FloatArray  # (rows, 3)
+    upper: FloatArray  # (rows, 3)
+    home: FloatArray  # (rows, 3) angles near which a ball joint's are chosen
+
+
+def limit_table(skeleton: Skeleton, margin: float) -> LimitTable:
+    """Return the table of a skeleton.
 
     One row for each joint that has a finite limit; joints with one displacement use the first column.
 
@@ -40,7 +50,7 @@ def limit_table(skeleton: Skeleton, margin: float) -> tuple[IntArray, FloatArray
         upper.append(np.pad(high + margin, pad, constant_values=np.inf))
         home.append(np.pad(skeleton.middle[own], pad))
     rows = len(joints)
-    return (
+    return LimitTable(
         np.array(joints, dtype=np.int64),
         np.array(axes, dtype=float).reshape(rows, 3, 3),
         np.array(lower, dtype=float).reshape(rows, 3),
@@ -61,8 +71,17 @@ def ball_angles(
     """Fill the three angles of a ball joint (``angles.euler_angles``) and d(angles)/d(tangent) (3, 3)."""
     turn, local = np.empty((3, 3)), np.empty((3, 3))
     turn_of_quaternion(q, start, turn)
-    local[:] = axes @ turn @ axes.T
-    sign = 1.0 if np.linalg.det(axes) > 0.0 else -1.0
+    for r in range(3):
+        for k in range(3):
+            local[r, k] = 0.0
+            for m in range(3):
+                for n in range(3):
+                    local[r, k] += axes[r, m] * turn[m, n] * axes[k, n]
+    handed = 0.0
+    for r in range(3):
+        m, n = (r + 1) % 3, (r + 2) % 3
+        handed += axes[0, r] * (axes[1, m] * axes[2, n] - axes[1, n] * axes[2, m])
+    sign = 1.0 if handed > 0.0 else -1.0
     middle = math.asin(min(1.0, max(-1.0, local[0, 2])))
     first = math.atan2(-local[1, 2], local[2, 2])
     last = math.atan2(-local[0, 1], local[0, 0])
@@ -81,23 +100,20 @@ def ball_angles(
     # The rotation vector of small changes is sum d_i u_i with u_i the axes as turned by the angles before them.
     ca, sa = math.cos(sign * angles[0]), math.sin(sign * angles[0])
     cb, sb = math.cos(sign * angles[1]), math.sin(sign * angles[1])
-    columns = np.array([[1.0, 0.0, sb], [0.0, ca, -sa * cb], [0.0, sa, ca * cb]])
-    rates[:] = np.linalg.inv(columns) @ axes if abs(cb) > 1e-6 else np.zeros((3, 3))
+    # They are the columns (1, 0, 0), (0, ca, sa), (sb, -sa cb, ca cb) in the joint's axes; this is the inverse.
+    if abs(cb) > 1e-6:
+        for k in range(3):
+            x, y, z = axes[0, k], axes[1, k], axes[2, k]
+            rates[2, k] = (ca * z - sa * y) / cb
+            rates[1, k] = ca * y + sa * z
+            rates[0, k] = x - sb * rates[2, k]
+    else:
+        rates[:] = 0.0
     return abs(cb)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def apply_limits(
-    tree: FlatTree,
-    q: FloatArray,
-    rates: FloatArray,
-    covariance: FloatArray,
-    joints: IntArray,
-    axes: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    home: FloatArray,
-) -> None:
+def apply_limits(tree: FlatTree, q: FloatArray, rates: FloatArray, covariance: FloatArray, limits: LimitTable) -> None:
     """Cut the estimate at the joint limits it reaches over, in place; rates that lead further out are changed with it.
 
     Args:
@@ -105,37 +121,34 @@ def apply_limits(
         q: Coordinates, shape (nq,).
         rates: Derivatives of the tangent, shape (order - 1, nv).
         covariance: P, shape (n, n).
-        joints: As from ``limit_table``, and so the rest.
-        axes: Shape (rows, 3, 3).
-        lower: Shape (rows, 3).
-        upper: Shape (rows, 3).
-        home: Shape (rows, 3).
+        limits: The limits.
     """
     nv = rates.shape[1]
-    angles, gradient, direction = np.empty(3), np.empty((3, 3)), np.zeros(nv)
-    for row in range(joints.shape[0]):
-        j = joints[row]
+    angles, gradient = np.empty(3), np.empty((3, 3))
+    direction, shift = np.zeros(nv), np.zeros(covariance.shape[0])
+    for row in range(limits.joints.shape[0]):
+        j = limits.joints[row]
         ball = tree.kind[j] == BALL
         for k in range(3 if ball else 1):
             room = 1.0
             if ball:
-                room = ball_angles(axes[row], q, tree.coordinate[j], home[row], angles, gradient)
+                room = ball_angles(limits.axes[row], q, tree.coordinate[j], limits.home[row], angles, gradient)
                 value = angles[k]
             else:
                 value = q[tree.coordinate[j]]
             if ball and k != 1 and room < NEAR_POLE:
                 continue
             for side in range(2):
-                limit = upper[row, k] if side == 1 else lower[row, k]
+                limit = limits.upper[row, k] if side == 1 else limits.lower[row, k]
                 if not math.isfinite(limit):
                     continue
                 direction[:] = 0.0
                 for r in range(3 if ball else 1):
                     direction[tree.tangent[j] + r] = gradient[k, r] if ball else 1.0
-                shift = np.zeros(covariance.shape[0])
                 change = truncate(covariance, direction, value, limit, side == 1, shift)
                 if change != 0.0:
                     apply_shift(tree, q, rates, shift)
+                    shift[:] = 0.0
                     value += change
 
 
@@ -170,19 +183,27 @@ def read_displacements(
     spread: FloatArray,
 ) -> None:
     """Fill displacements (n,), their rates (n,) and covariance (n, n) from those of posture and tangent."""
-    n, nv = displacements.shape[0], rates.shape[0]
-    mapping = np.zeros((n, nv))
+    # A displacement is a sum over the (one or three) tangents of its joint.
+    n = displacements.shape[0]
+    base, width, mapping = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros((n, 3))
     angles, gradient = np.empty(3), np.empty((3, 3))
     for j in range(tree.kind.shape[0]):
         kind, own, v = tree.kind[j], table.start[j], tree.tangent[j]
         if kind == BALL:
             ball_angles(table.axes[j], q, tree.coordinate[j], table.home[j], angles, gradient)
             for k in range(3):
-                displacements[own + k] = angles[k]
+                displacements[own + k], base[own + k], width[own + k] = angles[k], v, 3
                 for r in range(3):
-                    mapping[own + k, v + r] = gradient[k, r]
+                    mapping[own + k, r] = gradient[k, r]
         elif kind != FREE:
-            displacements[own] = q[tree.coordinate[j]]
-            mapping[own, v] = 1.0
-    velocities[:] = mapping @ rates
-    spread[:] = mapping @ np.ascontiguousarray(covariance) @ mapping.T
+            displacements[own], base[own], width[own], mapping[own, 0] = q[tree.coordinate[j]], v, 1, 1.0
+    for i in range(n):
+        velocities[i] = 0.0
+        for a in range(width[i]):
+            velocities[i] += mapping[i, a] * rates[base[i] + a]
+        for k in range(i + 1):
+            total = 0.0
+            for a in range(width[i]):
+                for b in range(width[k]):
+                    total += mapping[i, a] * covariance[base[i] + a, base[k] + b] * mapping[k, b]
+            spread[i, k] = spread[k, i] = total

@@ -9,10 +9,11 @@ import numpy as np
 from handover_ros.errors import BadRecordingError, ErrorCode
 from handover_ros.geometry import FloatArray
 from handover_ros.mocap.frames import MarkerFrame, Recording
-from handover_ros.skeleton.dynamics_model import linear_dynamics
+from handover_ros.skeleton.dynamics_model import fill_dynamics
 from handover_ros.skeleton.kernels import difference, forward, move
 from handover_ros.skeleton.tracking import SkeletonTracker, TrackingSettings
 from handover_ros.skeleton.tree import Skeleton
+from handover_ros.skeleton.ukf_kernels import predict
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,21 +80,20 @@ class _RecordingTracker(SkeletonTracker):
 
     def follow(self, frame: MarkerFrame) -> _Step | None:
         """Filter a frame; None when it has no posture."""
-        self._prediction: tuple[FloatArray, FloatArray, FloatArray] | None = None
-        self._transition = np.eye(self.settings.order)
-        before = self.reacquired
+        before, elapsed, state = self.reacquired, frame.stamp - self._stamp, self._state()
         if not self.update(frame).valid:
             return None
-        predicted = self._prediction if self.reacquired == before else None
-        return _Step(predicted, self._state(), self._transition)
+        if self.reacquired != before:
+            return _Step(None, self._state(), np.eye(self.settings.order))
+        transition, noise = np.empty((self.settings.order,) * 2), np.empty((self.settings.order,) * 2)
+        fill_dynamics(elapsed, self.decay, transition, noise)
+        coordinates, rates, covariance = state
+        rates *= self.fade
+        predict(self._tree, coordinates, rates, covariance, transition, noise, self.spectral)
+        return _Step(state, self._state(), transition)
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         return self.coordinates.copy(), self.rates.copy(), self.error_covariance.copy()
-
-    def _predict(self, elapsed: float) -> None:
-        super()._predict(elapsed)
-        self._prediction = self._state()
-        self._transition = linear_dynamics(elapsed, self.settings.order, self._fade(elapsed))[0]
 
 
 def _backwards(

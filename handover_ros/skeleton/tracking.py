@@ -11,34 +11,18 @@ from handover_ros.errors import BadModelError, BadRequestError
 from handover_ros.geometry import FloatArray
 from handover_ros.mocap.frames import MarkerFrame, MarkerStatus
 from handover_ros.skeleton.acquisition import Acquisition, acquire
-from handover_ros.skeleton.dynamics_model import linear_dynamics
-from handover_ros.skeleton.kernels import turn_of_quaternion
-from handover_ros.skeleton.limit_kernels import apply_limits, displacement_table, limit_table, read_displacements
+from handover_ros.skeleton.dynamics_model import decays
+from handover_ros.skeleton.limit_kernels import displacement_table, limit_table
 from handover_ros.skeleton.torso import TrackingState
-from handover_ros.skeleton.tree import Skeleton
-from handover_ros.skeleton.ukf_kernels import (
-    GATED,
-    RELABELLED,
-    SEEN,
-    factor_columns,
-    follow_liveliness,
-    judge_markers,
-    posterior_distance,
-    predict,
-    spread_points,
-    update,
-)
+from handover_ros.skeleton.tracking_kernels import COVARIANCE, POSE, estimate_size, read_estimate, step
+from handover_ros.skeleton.tree import JointKind, Skeleton
+from handover_ros.skeleton.ukf_kernels import GATED, SEEN
 
 BRIDGED = int(MarkerStatus.BRIDGED)
 BRIDGED_FACTOR = 5.0  # a predicted marker is this many times less certain than a measured one
 FEWEST_MARKERS = 3
-# The densities follow how much the rates had to be corrected lately: up quickly, down slowly, within these multiples of
-# where they start. In balance the corrections' variance is what the dynamics add (Mehra 1972); a share of it is aimed
-# at, since people's motions are smoother than white acceleration.
-RISE, FALL = 0.05, 0.2  # [s] time constants
-AIMED_SHARE = 0.7
-CALMEST, LIVELIEST = 1.0 / 60.0, 5.0
-STARTLED = 100.0  # times the usual noise of the dynamics in a frame with a sudden motion
+# A sudden motion is allowed for by white acceleration: the density of the dynamics times, by order, a factor or [s^2].
+STARTLED = {2: 100.0, 3: 10.0}
 
 
 @dataclass(frozen=True)
@@ -51,8 +35,8 @@ class TrackingSettings:
             order 3 of angular jerk [rad^2/s^5].
         translation_noise: The same for prismatic joints and the root's position [m^2/s^3] or [m^2/s^5].
         order: 2: displacements and rates, 3: accelerations too.
-        adaptive: Whether the spectral density of each tangent follows the motion (order 2 only); the two values above
-            are where it starts.
+        rate_memory: Time constant [s] with which rates fade by themselves, as movements end; inf: not at all.
+        acceleration_memory: The same for accelerations.
         gate: Squared Mahalanobis distance (3 degrees of freedom) beyond which a marker is not believed; inf: none.
         limits: Whether joint limits bound the estimate.
         limit_margin: How far [rad] or [m] beyond the calibrated limits a joint may go.
@@ -63,10 +47,11 @@ class TrackingSettings:
     """
 
     marker_noise: float = 0.002
-    rotation_noise: float = 60.0
-    translation_noise: float = 2.0
-    order: int = 2
-    adaptive: bool = True
+    rotation_noise: float = 600.0
+    translation_noise: float = 60.0
+    order: int = 3
+    rate_memory: float = 0.5
+    acceleration_memory: float = 0.25
     gate: float = 30.0
     limits: bool = True
     limit_margin: float = 0.035
@@ -81,7 +66,16 @@ class TrackingSettings:
         Raises:
             BadRequestError: A setting is out of its range.
         """
-        for name in ("marker_noise", "rotation_noise", "translation_noise", "gate", "coasting", "longest_gap"):
+        for name in (
+            "marker_noise",
+            "rotation_noise",
+            "translation_noise",
+            "rate_memory",
+            "acceleration_memory",
+            "gate",
+            "coasting",
+            "longest_gap",
+        ):
             if not getattr(self, name) > 0.0:
                 raise BadRequestError(f"tracking: {name} must be positive, got {getattr(self, name)}")
         if self.order not in (2, 3):
@@ -145,6 +139,9 @@ class SkeletonTracker:
         rates: Derivatives of its tangent, shape (order - 1, nv).
         home: Displacements (n,) in the middle of what is possible.
         error_covariance: Of tangent and derivatives, shape (order nv, order nv).
+        spectral: Spectral density of each tangent's noise, shape (nv,).
+        decay: How fast the derivatives fade [1/s], shape (order - 1,).
+        fade: Factor on the rates before the last prediction; 1 unless nothing was seen.
 
     Raises:
         BadModelError: The frames lack so many of the skeleton's markers that a joint cannot be seen.
@@ -161,26 +158,24 @@ class SkeletonTracker:
         self._tree = self.skeleton.tree
         _, self._tangents = self.skeleton.size
         self._limits = limit_table(self.skeleton, self.settings.limit_margin)
-        self._spectral = np.full(self._tangents, self.settings.rotation_noise)
+        self.spectral = np.full(self._tangents, self.settings.rotation_noise)
         for index, joint in enumerate(self.skeleton.joints):
             own = self.skeleton.tangent_slice(index)
-            if joint.kind.name == "PRISMATIC":
-                self._spectral[own] = self.settings.translation_noise
-            elif joint.kind.name == "FREE":
-                self._spectral[own.start : own.start + 3] = self.settings.translation_noise
-        self._first_spectral = self._spectral.copy()
-        count, size = len(known), self.settings.order * self._tangents
-        self._gain = np.empty((size, self._tangents))
-        self._mean = np.empty((count, 3))
-        self._first, self._second = np.empty((count, 3, self._tangents)), np.empty((count, 3, self._tangents))
-        self._status = np.full(count, GATED, dtype=np.int64)
-        self._measured = np.empty((count, 3))
+            if joint.kind is JointKind.PRISMATIC:
+                self.spectral[own] = self.settings.translation_noise
+            elif joint.kind is JointKind.FREE:
+                self.spectral[own.start : own.start + 3] = self.settings.translation_noise
+        self._startled = STARTLED[self.settings.order] * self.spectral
+        self.decay = decays(self.settings.order, self.settings.rate_memory, self.settings.acceleration_memory)
+        count = len(known)
+        self._observed = np.empty((count, 3))
         self._variance = np.empty(count)
         self._not_valid = _not_valid(self.skeleton)
         self.home = np.where(
             np.isfinite(self.skeleton.lower) & np.isfinite(self.skeleton.upper), self.skeleton.middle, 0.0
         )
         self._table = displacement_table(self.skeleton, self.home)
+        self._size = estimate_size(count, len(self.home))
         self.frames = self.valid_frames = self.gated = self.relabelled = self.reacquired = 0
         self._squared_residuals = 0.0
         self.reset()
@@ -192,9 +187,8 @@ class SkeletonTracker:
         size = self.settings.order * self._tangents
         self.rates = np.zeros((self.settings.order - 1, self._tangents))
         self.error_covariance = np.eye(size)
-        self._spectral[:] = self._first_spectral
-        self._activity = self._first_spectral.copy()
         self._stamp = self._seen = -math.inf
+        self.fade = 1.0
 
     @property
     def mean_residual(self) -> float:
@@ -204,112 +198,68 @@ class SkeletonTracker:
     def update(self, frame: MarkerFrame) -> SkeletonEstimate:
         """Return the person in a frame."""
         self.frames += 1
-        observed = frame.positions[self._columns]
-        self._variance[:] = self.settings.marker_noise**2
-        bridged = frame.status[self._columns] == BRIDGED
-        if bridged.any():
-            self._variance[bridged] *= BRIDGED_FACTOR**2
-        elapsed = frame.stamp - self._stamp
-        self._stamp = frame.stamp
-        if self.state is not TrackingState.TRACKING or not 0.0 < elapsed <= self.settings.longest_gap:
-            return self._look_for(frame.stamp, observed)
-        self._predict(elapsed)
-        used, squared = self._correct(observed, elapsed)
-        if used >= FEWEST_MARKERS:
-            self._seen = frame.stamp
-        elif frame.stamp - self._seen > self.settings.longest_gap:
+        settings, stamp = self.settings, frame.stamp
+        observed = np.take(frame.positions, self._columns, 0, self._observed, "clip")
+        self._variance.fill(settings.marker_noise**2)
+        if (frame.status == BRIDGED).any():
+            self._variance[frame.status[self._columns] == BRIDGED] *= BRIDGED_FACTOR**2
+        elapsed = stamp - self._stamp
+        self._stamp = stamp
+        if self.state is not TrackingState.TRACKING or not 0.0 < elapsed <= settings.longest_gap:
             self.state = TrackingState.LOST
-            return self._lost(frame.stamp)
-        consistency = squared / (3 * used) if used else math.nan
-        return self._estimate(frame.stamp, used, consistency)
-
-    def _fade(self, elapsed: float) -> float:
-        """Return the time constant [s] with which rates fade now: none while markers are seen."""
-        return self.settings.coasting if self._stamp - self._seen > 1.5 * elapsed else math.inf
-
-    def _predict(self, elapsed: float) -> None:
-        transition, noise = linear_dynamics(elapsed, self.settings.order, self._fade(elapsed))
-        predict(self._tree, self.coordinates, self.rates, self.error_covariance, transition, noise, self._spectral)
-
-    def _judge(self, observed: FloatArray) -> tuple[int, int]:
-        """Predict the markers, decide which measurements to believe; return the numbers of disbelieved and believed."""
-        if not factor_columns(self.error_covariance, self._tangents, self._gain):
-            raise BadModelError(f"skeleton {self.skeleton.name!r}: the filter's covariance is not positive definite")
-        spread_points(self._tree, self.coordinates, self._gain, self._mean, self._first, self._second)
-        return judge_markers(
-            observed,
-            self._mean,
-            self._first,
-            self._second,
-            self._variance,
-            self.settings.gate,
-            self._status,
-            self._measured,
-        )
-
-    def _correct(self, observed: FloatArray, elapsed: float) -> tuple[int, float]:
-        """Correct by the markers; return how many were believed and the normalised innovation squared."""
-        gated, seen = self._judge(observed)
-        if gated >= FEWEST_MARKERS and gated > self.settings.startled_share * (gated + seen):
-            # So many markers are rarely wrong at once: the person rather moved more suddenly than expected.
-            _, noise = linear_dynamics(elapsed, self.settings.order)
-            own = np.arange(self._tangents)
-            for a in range(self.settings.order):
-                for b in range(self.settings.order):
-                    rows, columns = own + a * self._tangents, own + b * self._tangents
-                    self.error_covariance[rows, columns] += STARTLED * noise[a, b] * self._spectral
-            gated, seen = self._judge(observed)
-        if gated > self.settings.lost_share * (gated + seen) and gated + seen >= FEWEST_MARKERS:
-            # It is not the markers that are wrong. Look for the posture; if none is found, go on as before.
-            found = acquire(self.skeleton, observed, self.coordinates, self.settings.marker_noise, self.home)
-            if found is not None:
-                self._restart(found)
-                return int(np.count_nonzero(np.isfinite(observed[:, 0]))), math.nan
-        self.gated += gated
-        if seen < len(self._columns):
-            self.relabelled += int(np.count_nonzero(self._status == RELABELLED))
-        before = self.rates[0].copy()
-        squared, used = update(
+            return self._look_for(stamp)
+        # Without any marker a movement is not taken to go on for long.
+        self.fade = math.exp(-elapsed / settings.coasting) if stamp - self._seen > 1.5 * elapsed else 1.0
+        out = np.empty(self._size)
+        used, squared, distance, gated, seen, relabelled = step(
             self._tree,
+            self._limits,
+            self._table,
             self.coordinates,
             self.rates,
             self.error_covariance,
-            self._gain,
-            self._mean,
-            self._first,
-            self._second,
-            self._measured,
-            self._status,
+            self.spectral,
+            self.decay,
+            observed,
             self._variance,
+            elapsed,
+            self.fade,
+            settings.gate,
+            FEWEST_MARKERS,
+            settings.startled_share,
+            self._startled,
+            settings.limits,
+            out,
         )
-        if self.settings.adaptive and self.settings.order == 2 and used:
-            follow_liveliness(
-                self._spectral,
-                self._activity,
-                self._first_spectral,
-                self.rates[0] - before,
-                elapsed,
-                RISE,
-                FALL,
-                AIMED_SHARE,
-                CALMEST,
-                LIVELIEST,
-            )
-        if self.settings.limits:
-            apply_limits(self._tree, self.coordinates, self.rates, self.error_covariance, *self._limits)
-        return used, squared
+        if used < 0:
+            raise BadModelError(f"skeleton {self.skeleton.name!r}: the filter's covariance is not positive definite")
+        if gated > settings.lost_share * (gated + seen) and gated + seen >= FEWEST_MARKERS:
+            # It is not the markers that are wrong. Look for the posture; if none is found, go on as before.
+            estimate = self._look_for(stamp)
+            if estimate.valid:
+                return estimate
+        self.gated += gated
+        self.relabelled += relabelled
+        if used >= FEWEST_MARKERS:
+            self._seen = stamp
+        elif stamp - self._seen > settings.longest_gap:
+            self.state = TrackingState.LOST
+            return self._lost(stamp)
+        return self._estimate(stamp, out, used, distance, squared / (3 * used) if used else math.nan)
 
-    def _look_for(self, stamp: float, observed: FloatArray) -> SkeletonEstimate:
-        """Find the posture in one frame by itself."""
-        self.state = TrackingState.LOST
+    def _look_for(self, stamp: float) -> SkeletonEstimate:
+        """Find the posture in one frame by itself, and begin again from there."""
+        observed = self._observed
         found = acquire(self.skeleton, observed, self.coordinates, self.settings.marker_noise, self.home)
         if found is None:
             return self._lost(stamp)
         self._restart(found)
         self._seen = stamp
-        self._measured[:] = observed
-        self._status[:] = np.where(np.isfinite(observed[:, 0]), SEEN, GATED)
-        return self._estimate(stamp, found.markers_used, math.nan)
+        out = np.empty(self._size)
+        status = np.where(np.isfinite(observed[:, 0]), SEEN, GATED)
+        state = self.coordinates, self.rates, self.error_covariance
+        distance = read_estimate(self._tree, self._table, *state, observed, status, out)
+        return self._estimate(stamp, out, int(np.count_nonzero(status == SEEN)), distance, math.nan)
 
     def _restart(self, found: Acquisition) -> None:
         """Begin again from a posture."""
@@ -325,55 +275,36 @@ class SkeletonTracker:
                 own = slice(a * nv, (a + 1) * nv)
                 self.error_covariance[own, own] = deviation**2 * np.eye(nv)
 
-    def _estimate(self, stamp: float, used: int, consistency: float) -> SkeletonEstimate:
+    def _estimate(
+        self, stamp: float, out: FloatArray, used: int, distance: float, consistency: float
+    ) -> SkeletonEstimate:
+        """Return the estimate that was read out."""
         self.valid_frames += 1
-        predictions = np.empty_like(self._mean)
-        squared = posterior_distance(self._tree, self.coordinates, self._measured, self._status, predictions)
-        residual = math.sqrt(squared / used) if used else math.nan
+        residual = math.nan
         if used:
-            self._squared_residuals += residual**2
-        skeleton, nv = self.skeleton, self._tangents
-        n = len(self.home)
-        displacements, velocities, covariance = np.empty(n), np.empty(n), np.empty((n, n))
-        posture_covariance = self.error_covariance[:nv, :nv]
-        read_displacements(
-            self._tree,
-            self._table,
-            self.coordinates,
-            self.rates[0],
-            posture_covariance,
-            displacements,
-            velocities,
-            covariance,
-        )
+            self._squared_residuals += distance / used
+            residual = math.sqrt(distance / used)
+        n, at = len(self.home), 3 * len(self._columns)
+        root = at + 2 * n + n * n
         return SkeletonEstimate(
             stamp=stamp,
             valid=True,
-            world_from_torso=root_pose_of(skeleton, self.coordinates),
-            torso_covariance=self.error_covariance[:6, :6].copy() if skeleton.is_free else np.zeros((6, 6)),
-            torso_velocity=self.rates[0, :6].copy() if skeleton.is_free else np.zeros(6),
-            displacements=displacements,
-            velocities=velocities,
-            covariance=covariance,
+            world_from_torso=out[root : root + POSE].reshape(4, 4),
+            torso_covariance=out[root + POSE : root + POSE + COVARIANCE].reshape(6, 6),
+            torso_velocity=out[root + POSE + COVARIANCE :],
+            displacements=out[at : at + n],
+            velocities=out[at + n : at + 2 * n],
+            covariance=out[at + 2 * n : root].reshape(n, n),
             markers_used=used,
             residual_rms=residual,
             consistency=consistency,
             confidence=used / len(self._columns),
-            marker_predictions=predictions,
+            marker_predictions=out[:at].reshape(-1, 3),
         )
 
     def _lost(self, stamp: float) -> SkeletonEstimate:
         """Return the estimate of a frame in which the posture is not known."""
         return replace(self._not_valid, stamp=stamp)
-
-
-def root_pose_of(skeleton: Skeleton, coordinates: FloatArray) -> FloatArray:
-    """Return ``Skeleton.world_from_root`` of one posture (nq,), cheaper."""
-    pose = np.eye(4)
-    if skeleton.is_free:
-        turn_of_quaternion(coordinates, 3, pose[:3, :3])
-        pose[:3, 3] = coordinates[:3]
-    return pose
 
 
 def _not_valid(skeleton: Skeleton) -> SkeletonEstimate:

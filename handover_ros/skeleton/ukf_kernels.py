@@ -21,7 +21,17 @@ import numba
 import numpy as np
 
 from handover_ros.geometry import FloatArray
-from handover_ros.skeleton.kernels import joint_poses, move, place_markers
+from handover_ros.skeleton.kernels import (
+    BALL,
+    FREE,
+    PRISMATIC,
+    REVOLUTE,
+    joint_poses,
+    move,
+    place_markers,
+    turn_about,
+    turn_of_quaternion,
+)
 from handover_ros.skeleton.normal_equations import cholesky_in_place
 from handover_ros.skeleton.tree import FlatTree, IntArray
 
@@ -50,34 +60,44 @@ def predict(
         spectral: Spectral density of each tangent's noise, shape (nv,).
     """
     nv, order = rates.shape[1], transition.shape[0]
-    step, change = np.zeros(nv), np.zeros((order - 1, nv))
-    for i in range(nv):
-        for a in range(1, order):
-            step[i] += transition[0, a] * rates[a - 1, i]
-            for b in range(1, order):
-                change[a - 1, i] += transition[a, b] * rates[b - 1, i]
+    step = np.zeros(nv)
+    for a in range(order):
+        for i in range(nv):
+            total = transition[a, a] * rates[a - 1, i] if a > 0 else 0.0
+            for b in range(a + 1, order):
+                total += transition[a, b] * rates[b - 1, i]
+            if a == 0:
+                step[i] = total
+            else:
+                rates[a - 1, i] = total
     move(tree, q, step)
-    rates[:] = change
-    half = np.zeros_like(covariance)
+    # F is upper triangular: P becomes F P F^T in place, block rows from above, then block columns from the left.
+    n = covariance.shape[0]
     for a in range(order):
-        for c in range(a, order):
-            factor = transition[a, c]
-            if factor != 0.0:
-                for i in range(nv):
-                    for j in range(covariance.shape[0]):
-                        half[a * nv + i, j] += factor * covariance[c * nv + i, j]
-    covariance[:] = 0.0
-    for b in range(order):
-        for d in range(b, order):
-            factor = transition[b, d]
-            if factor != 0.0:
-                for i in range(covariance.shape[0]):
-                    for j in range(nv):
-                        covariance[i, b * nv + j] += factor * half[i, d * nv + j]
-    for a in range(order):
+        for i in range(a * nv, (a + 1) * nv):
+            for j in range(n):
+                covariance[i, j] *= transition[a, a]
+            for c in range(a + 1, order):
+                add_scaled(covariance[i], transition[a, c], covariance[i + (c - a) * nv], n)
+    for i in range(n):
+        row = covariance[i]
         for b in range(order):
+            for j in range(b * nv, (b + 1) * nv):
+                total = transition[b, b] * row[j]
+                for d in range(b + 1, order):
+                    total += transition[b, d] * row[j + (d - b) * nv]
+                row[j] = total
+    add_noise(covariance, noise, spectral, 1.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def add_noise(covariance: FloatArray, noise: FloatArray, spectral: FloatArray, times: float) -> None:
+    """Add to P (n, n) what noise of so many times the spectral densities (nv,) does; ``noise`` as for ``predict``."""
+    nv = spectral.shape[0]
+    for a in range(noise.shape[0]):
+        for b in range(noise.shape[0]):
             for i in range(nv):
-                covariance[a * nv + i, b * nv + i] += noise[a, b] * spectral[i]
+                covariance[a * nv + i, b * nv + i] += times * noise[a, b] * spectral[i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -120,35 +140,98 @@ def spread_points(
     The centre has no weight (the choice alpha^2 = nv / n, beta = alpha^2 - 1, kappa = 0 of Merwe's points), so that all
     weights are positive however large the state is.
     """
+    # The factor is lower triangular: point j moves the joints from that of tangent j on. From the last to the first,
+    # the poses before that joint are those of the mean throughout.
     nv, markers, joints = gain.shape[1], tree.marker.shape[0], tree.kind.shape[0]
-    rotation, translation = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3))
-    local, point, step = np.empty((joints, 3, 3)), np.empty_like(q), np.empty(nv)
-    plus, minus = np.empty((markers, 3)), np.empty((markers, 3))
+    rotation, translation, own = np.empty((joints + 1, 3, 3)), np.empty((joints + 1, 3)), np.empty((3, 3))
+    point, step = np.empty_like(q), np.zeros(nv)
+    still, moved = np.empty((markers, 3)), np.empty((2, markers, 3))
+    poses_from(tree, q, 0, rotation, translation, own)
+    place_markers_from(tree, rotation, translation, 0, still)
     root = math.sqrt(nv)
+    half, share = 0.5 / root, 0.5 / nv
     mean[:] = 0.0
-    for j in range(nv):
-        for i in range(nv):
-            step[i] = root * gain[i, j]
-        point[:] = q
-        move(tree, point, step)
-        joint_poses(tree, point, rotation, translation, local)
-        place_markers(tree, rotation, translation, plus)
-        for i in range(nv):
-            step[i] = -step[i]
-        point[:] = q
-        move(tree, point, step)
-        joint_poses(tree, point, rotation, translation, local)
-        place_markers(tree, rotation, translation, minus)
+    start = joints - 1
+    for j in range(nv - 1, -1, -1):
+        while tree.tangent[start] > j:
+            start -= 1
+        for side in range(2):
+            scale = root if side == 0 else -root
+            for i in range(j, nv):
+                step[i] = scale * gain[i, j]
+            point[:] = q
+            move(tree, point, step)
+            poses_from(tree, point, start, rotation, translation, own)
+            place_markers_from(tree, rotation, translation, start, moved[side])
         for m in range(markers):
+            stays = tree.marker_joint[m] < start
             for r in range(3):
-                first[m, r, j] = (plus[m, r] - minus[m, r]) / (2.0 * root)
-                total = plus[m, r] + minus[m, r]
-                second[m, r, j] = total
-                mean[m, r] += total / (2.0 * nv)
+                if stays:
+                    first[m, r, j] = 0.0
+                    second[m, r, j] = 2.0 * still[m, r]
+                else:
+                    first[m, r, j] = (moved[0, m, r] - moved[1, m, r]) * half
+                    second[m, r, j] = moved[0, m, r] + moved[1, m, r]
+                mean[m, r] += second[m, r, j] * share
     for m in range(markers):
         for r in range(3):
             for j in range(nv):
-                second[m, r, j] = (second[m, r, j] - 2.0 * mean[m, r]) / (2.0 * root)
+                second[m, r, j] = (second[m, r, j] - 2.0 * mean[m, r]) * half
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def poses_from(
+    tree: FlatTree, q: FloatArray, start: int, rotation: FloatArray, translation: FloatArray, own: FloatArray
+) -> None:
+    """Fill segment poses as ``kernels.joint_poses`` does, from joint ``start`` on; those before stay."""
+    if start == 0:
+        for r in range(3):
+            translation[0, r] = 0.0
+            for c in range(3):
+                rotation[0, r, c] = 1.0 if r == c else 0.0
+    for j in range(start, tree.kind.shape[0]):
+        p, kind, at = tree.parent[j] + 1, tree.kind[j], tree.coordinate[j]
+        if kind == PRISMATIC:
+            for r in range(3):
+                shift = 0.0
+                for c in range(3):
+                    rotation[j + 1, r, c] = rotation[p, r, c]
+                    shift += rotation[p, r, c] * tree.axis[j, c]
+                translation[j + 1, r] = translation[p, r] + shift * q[at]
+            continue
+        if kind == REVOLUTE:
+            turn_about(tree.axis[j], q[at], own)
+        elif kind == BALL:
+            turn_of_quaternion(q, at, own)
+        else:
+            turn_of_quaternion(q, at + 3, own)
+        for r in range(3):
+            for c in range(3):
+                rotation[j + 1, r, c] = (
+                    rotation[p, r, 0] * own[0, c] + rotation[p, r, 1] * own[1, c] + rotation[p, r, 2] * own[2, c]
+                )
+        for r in range(3):
+            moved = translation[p, r]
+            for c in range(3):
+                if kind == FREE:
+                    moved += rotation[p, r, c] * q[at + c]
+                else:
+                    moved += (rotation[p, r, c] - rotation[j + 1, r, c]) * tree.point[j, c]
+            translation[j + 1, r] = moved
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def place_markers_from(
+    tree: FlatTree, rotation: FloatArray, translation: FloatArray, start: int, out: FloatArray
+) -> None:
+    """Fill the positions (m, 3) [m] of the markers on the segments of joint ``start`` and those after; 0: of all."""
+    for i in range(tree.marker.shape[0]):
+        j = tree.marker_joint[i] + 1
+        if start > 0 and j <= start:
+            continue
+        x, y, z = tree.marker[i, 0], tree.marker[i, 1], tree.marker[i, 2]
+        for r in range(3):
+            out[i, r] = rotation[j, r, 0] * x + rotation[j, r, 1] * y + rotation[j, r, 2] * z + translation[j, r]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -178,6 +261,17 @@ def marker_distance(
         v[r] /= s[r, r]
         squared += v[r] * v[r]
     return squared
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def within_gate(
+    position: FloatArray, mean: FloatArray, first: FloatArray, second: FloatArray, variance: float, gate: float
+) -> bool:
+    """Return whether ``marker_distance`` is at most the gate; the prediction's own uncertainty only lowers it."""
+    squared = 0.0
+    for r in range(3):
+        squared += (position[r] - mean[r]) ** 2
+    return squared <= gate * variance or marker_distance(position, mean, first, second, variance) <= gate
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -212,7 +306,7 @@ def judge_markers(
         measured[m] = observed[m]
         if math.isnan(observed[m, 0]):
             status[m] = MISSING
-        elif gate < math.inf and marker_distance(observed[m], mean[m], first[m], second[m], variance[m]) > gate:
+        elif not within_gate(observed[m], mean[m], first[m], second[m], variance[m], gate):
             status[m] = GATED
             gated += 1
         else:
@@ -274,30 +368,33 @@ def update(
     """
     n, nv = gain.shape
     size = 2 * nv
-    system, right = np.zeros((size, size)), np.zeros(size)
-    columns = np.empty((3, size))
-    squared, used = 0.0, 0
+    used = 0
     for m in range(measured.shape[0]):
-        if status[m] == MISSING or status[m] == GATED:
-            continue
-        used += 1
-        weight = 1.0 / variance[m]
-        for r in range(3):
-            for j in range(nv):
-                columns[r, j] = second[m, r, j]
-                columns[r, nv + j] = first[m, r, j]
-        for r in range(3):
-            v = measured[m, r] - mean[m, r]
-            squared += weight * v * v
-            for a in range(size):
-                scaled = weight * columns[r, a]
-                right[a] += scaled * v
-                add_scaled(system[a], scaled, columns[r], a + 1)
+        if status[m] == SEEN or status[m] == RELABELLED:
+            used += 1
     if used == 0:
         return 0.0, 0
+    # [E B]^T and the innovation, in units of the markers' deviations; only what is believed.
+    columns, innovation = np.empty((size, 3 * used)), np.empty(3 * used)
+    at = 0
+    for m in range(measured.shape[0]):
+        if status[m] != SEEN and status[m] != RELABELLED:
+            continue
+        weight = 1.0 / math.sqrt(variance[m])
+        for r in range(3):
+            innovation[at] = weight * (measured[m, r] - mean[m, r])
+            for j in range(nv):
+                columns[j, at] = weight * second[m, r, j]
+                columns[nv + j, at] = weight * first[m, r, j]
+            at += 1
+    system, right = np.empty((size, size)), np.empty(size)
     for a in range(size):
+        right[a] = dot(columns[a], innovation, at)
+        for b in range(a + 1):
+            system[a, b] = dot(columns[a], columns[b], at)
         system[a, a] += 1.0
     cholesky_in_place(system)
+    squared = dot(innovation, innovation, at)
     for a in range(size):
         for b in range(a):
             right[a] -= system[a, b] * right[b]
@@ -307,27 +404,34 @@ def update(
         for b in range(a + 1, size):
             right[a] -= system[b, a] * right[b]
         right[a] /= system[a, a]
-    # W = G L_BB^-T: then G (M^-1)_BB G^T = W W^T.
-    solved = np.empty((n, nv))
+    # W = G L_BB^-T: then G (M^-1)_BB G^T = W W^T. Both by rows of their transposes, which are long.
+    spread, solved, shift = np.empty((nv, n)), np.empty((nv, n)), np.zeros(n)
+    for j in range(nv):
+        for i in range(n):
+            spread[j, i] = solved[j, i] = gain[i, j]
+        add_scaled(shift, right[nv + j], spread[j], n)
+        for k in range(j):
+            add_scaled(solved[j], -system[nv + j, nv + k], solved[k], n)
+        inverse = 1.0 / system[nv + j, nv + j]
+        for i in range(n):
+            solved[j, i] *= inverse
     for i in range(n):
         for j in range(nv):
-            total = gain[i, j]
-            for k in range(j):
-                total -= system[nv + j, nv + k] * solved[i, k]
-            solved[i, j] = total / system[nv + j, nv + j]
-    for i in range(n):
-        for k in range(i + 1):
-            total = covariance[i, k]
-            for j in range(nv):
-                total += solved[i, j] * solved[k, j] - gain[i, j] * gain[k, j]
-            covariance[i, k] = total
-            covariance[k, i] = total
-    shift = np.zeros(n)
-    for i in range(n):
-        for j in range(nv):
-            shift[i] += gain[i, j] * right[nv + j]
+            add_scaled(covariance[i], solved[j, i], solved[j], i + 1)
+            add_scaled(covariance[i], -spread[j, i], spread[j], i + 1)
+        for k in range(i):
+            covariance[k, i] = covariance[i, k]
     apply_shift(tree, q, rates, shift)
     return squared, used
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def dot(one: FloatArray, other: FloatArray, count: int) -> float:
+    """Return the inner product of the first ``count`` numbers of two rows."""
+    total = 0.0
+    for c in range(count):
+        total += one[c] * other[c]
+    return total
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -401,19 +505,21 @@ def truncate(
         shift: Added to: what is to be added to the state, shape (n,).
     """
     n, count = covariance.shape[0], direction.shape[0]
-    column = np.zeros(n)
-    for i in range(n):
-        for k in range(count):
-            column[i] += covariance[i, k] * direction[k]
     variance = 0.0
     for k in range(count):
-        variance += direction[k] * column[k]
+        if direction[k] != 0.0:
+            for i in range(count):
+                variance += direction[k] * covariance[k, i] * direction[i]
     if not variance > 1e-16:
         return 0.0
     sigma = math.sqrt(variance)
     room = (limit - value) / sigma if upper else (value - limit) / sigma
     if room > 3.0:
         return 0.0
+    column = np.zeros(n)
+    for k in range(count):
+        if direction[k] != 0.0:
+            add_scaled(column, direction[k], covariance[k], n)
     if room > -5.0:
         density = math.exp(-0.5 * room * room) / math.sqrt(2.0 * math.pi)
         ratio = density / (0.5 * math.erfc(-room / math.sqrt(2.0)))
@@ -426,37 +532,3 @@ def truncate(
         for k in range(n):
             covariance[i, k] += column[i] * column[k] * (kept - 1.0) / variance
     return change
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def follow_liveliness(
-    spectral: FloatArray,
-    activity: FloatArray,
-    first: FloatArray,
-    correction: FloatArray,
-    elapsed: float,
-    rise: float,
-    fall: float,
-    aimed: float,
-    calmest: float,
-    liveliest: float,
-) -> None:
-    """Let the spectral densities (nv,) follow the corrections (nv,) of the rates, in place.
-
-    Args:
-        spectral: The densities, changed.
-        activity: Recent squared corrections for each second, changed.
-        first: Densities to begin with.
-        correction: What the last update changed the rates by.
-        elapsed: Time since the frame before [s].
-        rise: Time constant of a growing activity [s].
-        fall: Of a fading one [s].
-        aimed: Share of the activity that becomes the density.
-        calmest: Smallest density as a multiple of the first.
-        liveliest: Greatest one.
-    """
-    up, down = -math.expm1(-elapsed / rise), -math.expm1(-elapsed / fall)
-    for i in range(spectral.shape[0]):
-        seen = correction[i] * correction[i] / elapsed
-        activity[i] += (up if seen > activity[i] else down) * (seen - activity[i])
-        spectral[i] = min(max(aimed * activity[i], calmest * first[i]), liveliest * first[i])
