@@ -9,7 +9,7 @@ import numpy as np
 
 from handover_ros.errors import BadModelError, BadRequestError
 from handover_ros.geometry import FloatArray
-from handover_ros.mocap.frames import MarkerFrame, MarkerStatus
+from handover_ros.mocap.frames import MarkerFrame
 from handover_ros.skeleton.acquisition import Acquisition, acquire
 from handover_ros.skeleton.dynamics_model import decays
 from handover_ros.skeleton.limit_kernels import displacement_table, limit_table
@@ -18,8 +18,6 @@ from handover_ros.skeleton.tracking_kernels import COVARIANCE, POSE, estimate_si
 from handover_ros.skeleton.tree import JointKind, Skeleton
 from handover_ros.skeleton.ukf_kernels import GATED, SEEN
 
-BRIDGED = int(MarkerStatus.BRIDGED)
-BRIDGED_FACTOR = 5.0  # a predicted marker is this many times less certain than a measured one
 FEWEST_MARKERS = 3
 # A sudden motion is allowed for by white acceleration: the density of the dynamics times, by order, a factor or [s^2].
 STARTLED = {2: 100.0, 3: 10.0}
@@ -168,8 +166,7 @@ class SkeletonTracker:
         self._startled = STARTLED[self.settings.order] * self.spectral
         self.decay = decays(self.settings.order, self.settings.rate_memory, self.settings.acceleration_memory)
         count = len(known)
-        self._observed = np.empty((count, 3))
-        self._variance = np.empty(count)
+        self._observed = np.full((count, 3), np.nan)
         self._not_valid = _not_valid(self.skeleton)
         self.home = np.where(
             np.isfinite(self.skeleton.lower) & np.isfinite(self.skeleton.upper), self.skeleton.middle, 0.0
@@ -199,10 +196,7 @@ class SkeletonTracker:
         """Return the person in a frame."""
         self.frames += 1
         settings, stamp = self.settings, frame.stamp
-        observed = np.take(frame.positions, self._columns, 0, self._observed, "clip")
-        self._variance.fill(settings.marker_noise**2)
-        if (frame.status == BRIDGED).any():
-            self._variance[frame.status[self._columns] == BRIDGED] *= BRIDGED_FACTOR**2
+        observed = self._observed = frame.positions.take(self._columns, 0)
         elapsed = stamp - self._stamp
         self._stamp = stamp
         if self.state is not TrackingState.TRACKING or not 0.0 < elapsed <= settings.longest_gap:
@@ -221,7 +215,8 @@ class SkeletonTracker:
             self.spectral,
             self.decay,
             observed,
-            self._variance,
+            frame.status.take(self._columns),
+            settings.marker_noise,
             elapsed,
             self.fade,
             settings.gate,

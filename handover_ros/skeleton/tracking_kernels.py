@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from handover_ros.geometry import FloatArray
+from handover_ros.mocap.frames import MarkerStatus, StatusArray
 from handover_ros.skeleton.dynamics_model import fill_dynamics
 from handover_ros.skeleton.kernels import turn_of_quaternion
 from handover_ros.skeleton.limit_kernels import (
@@ -30,6 +31,8 @@ from handover_ros.skeleton.ukf_kernels import (
     update,
 )
 
+BRIDGED = int(MarkerStatus.BRIDGED)
+BRIDGED_FACTOR = 5.0  # a predicted marker is this many times less certain than a measured one
 POSE, COVARIANCE, VELOCITY = 16, 36, 6  # numbers of a root pose, of its covariance and of its velocity
 
 
@@ -44,7 +47,8 @@ def step(
     spectral: FloatArray,
     decay: FloatArray,
     observed: FloatArray,
-    variance: FloatArray,
+    source: StatusArray,
+    marker_noise: float,
     elapsed: float,
     fade: float,
     gate: float,
@@ -66,7 +70,8 @@ def step(
         spectral: Spectral density of each tangent's noise, shape (nv,).
         decay: How fast the derivatives fade [1/s], shape (order - 1,).
         observed: Measured positions [m], shape (m, 3), NaN = not measured.
-        variance: Of a coordinate of each marker [m^2], shape (m,).
+        source: What each position is, a ``MarkerStatus``, shape (m,).
+        marker_noise: Standard deviation of a measured marker's coordinate [m].
         elapsed: Time since the frame before [s].
         fade: Factor on the rates beforehand; their uncertainty stays.
         gate: As for ``judge_markers``.
@@ -85,7 +90,9 @@ def step(
     transition, noise = np.empty((order, order)), np.empty((order, order))
     gain, mean = np.empty((order * nv, nv)), np.empty((markers, 3))
     first, second = np.empty((markers, 3, nv)), np.empty((markers, 3, nv))
-    status, measured = np.empty(markers, dtype=np.int64), np.empty((markers, 3))
+    status, measured, variance = np.empty(markers, dtype=np.int64), np.empty((markers, 3)), np.empty(markers)
+    for m in range(markers):
+        variance[m] = (marker_noise * (BRIDGED_FACTOR if source[m] == BRIDGED else 1.0)) ** 2
     fill_dynamics(elapsed, decay, transition, noise)
     if fade != 1.0:
         rates *= fade

@@ -78,15 +78,14 @@ def predict(
             for j in range(n):
                 covariance[i, j] *= transition[a, a]
             for c in range(a + 1, order):
-                add_scaled(covariance[i], transition[a, c], covariance[i + (c - a) * nv], n)
+                add_scaled(covariance, i, transition[a, c], covariance, i + (c - a) * nv, n)
     for i in range(n):
-        row = covariance[i]
         for b in range(order):
             for j in range(b * nv, (b + 1) * nv):
-                total = transition[b, b] * row[j]
-                for d in range(b + 1, order):
-                    total += transition[b, d] * row[j + (d - b) * nv]
-                row[j] = total
+                covariance[i, j] *= transition[b, b]
+            for d in range(b + 1, order):
+                for j in range(nv):
+                    covariance[i, b * nv + j] += transition[b, d] * covariance[i, d * nv + j]
     add_noise(covariance, noise, spectral, 1.0)
 
 
@@ -388,13 +387,10 @@ def update(
                 columns[nv + j, at] = weight * first[m, r, j]
             at += 1
     system, right = np.empty((size, size)), np.empty(size)
+    squared = inner_products(columns, innovation, system, right)
     for a in range(size):
-        right[a] = dot(columns[a], innovation, at)
-        for b in range(a + 1):
-            system[a, b] = dot(columns[a], columns[b], at)
         system[a, a] += 1.0
     cholesky_in_place(system)
-    squared = dot(innovation, innovation, at)
     for a in range(size):
         for b in range(a):
             right[a] -= system[a, b] * right[b]
@@ -405,45 +401,69 @@ def update(
             right[a] -= system[b, a] * right[b]
         right[a] /= system[a, a]
     # W = G L_BB^-T: then G (M^-1)_BB G^T = W W^T. Both by rows of their transposes, which are long.
-    spread, solved, shift = np.empty((nv, n)), np.empty((nv, n)), np.zeros(n)
+    spread, solved, shift = np.empty((nv, n)), np.empty((nv, n)), np.zeros((1, n))
     for j in range(nv):
         for i in range(n):
             spread[j, i] = solved[j, i] = gain[i, j]
-        add_scaled(shift, right[nv + j], spread[j], n)
+        add_scaled(shift, 0, right[nv + j], spread, j, n)
         for k in range(j):
-            add_scaled(solved[j], -system[nv + j, nv + k], solved[k], n)
+            add_scaled(solved, j, -system[nv + j, nv + k], solved, k, n)
         inverse = 1.0 / system[nv + j, nv + j]
         for i in range(n):
             solved[j, i] *= inverse
     for i in range(n):
         for j in range(nv):
-            add_scaled(covariance[i], solved[j, i], solved[j], i + 1)
-            add_scaled(covariance[i], -spread[j, i], spread[j], i + 1)
+            one, other = solved[j, i], spread[j, i]
+            for k in range(i + 1):
+                covariance[i, k] += one * solved[j, k] - other * spread[j, k]
         for k in range(i):
             covariance[k, i] = covariance[i, k]
-    apply_shift(tree, q, rates, shift)
+    apply_shift(tree, q, rates, shift[0])
     return squared, used
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def dot(one: FloatArray, other: FloatArray, count: int) -> float:
-    """Return the inner product of the first ``count`` numbers of two rows."""
-    total = 0.0
+def inner_products(rows: FloatArray, vector: FloatArray, system: FloatArray, right: FloatArray) -> float:
+    """Fill ``right`` (k,) with rows (k, c) times a vector (c,), the lower half of ``system`` (k, k) with rows by rows.
+
+    Returns:
+        The vector's squared length.
+    """
+    size, count = rows.shape
+    squared = 0.0
     for c in range(count):
-        total += one[c] * other[c]
-    return total
+        squared += vector[c] * vector[c]
+    for a in range(size):
+        total = 0.0
+        for c in range(count):
+            total += rows[a, c] * vector[c]
+        right[a] = total
+        # Four at a time keep the processor busy.
+        b = 0
+        while b + 3 <= a:
+            s0 = s1 = s2 = s3 = 0.0
+            for c in range(count):
+                own = rows[a, c]
+                s0 += own * rows[b, c]
+                s1 += own * rows[b + 1, c]
+                s2 += own * rows[b + 2, c]
+                s3 += own * rows[b + 3, c]
+            system[a, b], system[a, b + 1], system[a, b + 2], system[a, b + 3] = s0, s1, s2, s3
+            b += 4
+        while b <= a:
+            total = 0.0
+            for c in range(count):
+                total += rows[a, c] * rows[b, c]
+            system[a, b] = total
+            b += 1
+    return squared
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def add_scaled(
-    row: FloatArray,
-    factor: float,
-    other: FloatArray,
-    count: int,
-) -> None:
-    """Add factor * other[:count] to row[:count], in place."""
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+def add_scaled(rows: FloatArray, at: int, factor: float, others: FloatArray, which: int, count: int) -> None:
+    """Add factor * others[which, :count] to rows[at, :count], in place."""
     for c in range(count):
-        row[c] += factor * other[c]
+        rows[at, c] += factor * others[which, c]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -519,7 +539,8 @@ def truncate(
     column = np.zeros(n)
     for k in range(count):
         if direction[k] != 0.0:
-            add_scaled(column, direction[k], covariance[k], n)
+            for i in range(n):
+                column[i] += direction[k] * covariance[k, i]
     if room > -5.0:
         density = math.exp(-0.5 * room * room) / math.sqrt(2.0 * math.pi)
         ratio = density / (0.5 * math.erfc(-room / math.sqrt(2.0)))
