@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -40,11 +41,14 @@ EXIT_BAD_INPUT = 2
 def verdict(name: str, metrics: dict[str, float]) -> tuple[str, str]:
     """Return what to reach, as text, and whether it is reached: yes, no or nothing."""
     relation, target = REACH.get(name, ("", 0.0))
-    if name in AGAINST_PEER and AGAINST_PEER[name] in metrics:
-        relation, target = "<=", metrics[AGAINST_PEER[name]]
+    value, peers = metrics[name], metrics.get(AGAINST_PEER.get(name, ""))
+    if peers is not None and math.isfinite(peers):
+        relation, target = "<=", peers
     if not relation:
         return "", ""
-    reached = metrics[name] >= target if relation == ">=" else metrics[name] <= target
+    if math.isnan(value):
+        return f"{relation} {target:.4g}", ""
+    reached = value >= target if relation == ">=" else value <= target
     return f"{relation} {target:.4g}", "[green]yes[/green]" if reached else "[red]no[/red]"
 
 
@@ -58,7 +62,8 @@ def bench(
     """Measure tracking, calibration and simulation, with the peers in the same run."""
     if part not in (*PARTS, "all"):
         raise typer.BadParameter(f"unknown part {part!r}; known: {', '.join(PARTS)}, all")
-    console, metrics = Console(), {}
+    console = Console()
+    metrics: dict[str, float] = {}
     if part in ("tracking", "all"):
         console.print("tracking ...")
         metrics |= tracking.measure(seed, quick, peer("biorbd"))
@@ -72,7 +77,7 @@ def bench(
     for heading in ("metric", "value", "to reach", "reached"):
         table.add_column(heading, justify="right" if heading == "value" else "left")
     for name, value in metrics.items():
-        table.add_row(name, f"{value:.4g}", *verdict(name, metrics))
+        table.add_row(name, "-" if math.isnan(value) else f"{value:.4g}", *verdict(name, metrics))
     console.print(table)
     for target in filter(None, (out / "bench.json" if out else None, json_file)):
         write_json(target, "bench", True, seed, metrics)

@@ -108,5 +108,4 @@ def record(skeleton: Skeleton, kind: str, frames: int, seed: int, missing: float
 def error_deg(estimate: np.ndarray, motion: TrackedMotion) -> float:
     """Return the root mean square error over all joints after settling [deg]; full turns do not count."""
     error = (estimate - motion.displacements)[SETTLING:]
-    error -= 2.0 * np.pi * np.round(error / (2.0 * np.pi))
-    return float(np.degrees(np.sqrt(np.mean(error**2))))
+    return float(np.degrees(np.sqrt(np.mean(np.angle(np.exp(1j * error)) ** 2))))

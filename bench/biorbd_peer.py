@@ -57,7 +57,12 @@ class BiorbdFilter:
         return np.array([marker.to_array() for marker in self.model.markers(displacements)])
 
     def follow(
-        self, markers: np.ndarray, rate: float, noise_factor: float | None = None, error_factor: float | None = None
+        self,
+        markers: np.ndarray,
+        rate: float,
+        start: np.ndarray,
+        noise_factor: float | None = None,
+        error_factor: float | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements (frames, n) of markers (frames, m, 3), and the seconds of each frame.
 
@@ -74,11 +79,16 @@ class BiorbdFilter:
             self.biorbd.GeneralizedVelocity(count),
             self.biorbd.GeneralizedAcceleration(count),
         )
+        kalman.setInitState(
+            self.biorbd.GeneralizedCoordinates(start),
+            self.biorbd.GeneralizedVelocity(np.zeros(count)),
+            self.biorbd.GeneralizedAcceleration(np.zeros(count)),
+        )
         flat = np.nan_to_num(markers, nan=0.0).reshape(len(markers), -1)
         result, seconds = np.empty((len(markers), count)), np.empty(len(markers))
         for frame, values in enumerate(flat):
-            start = time.perf_counter()
+            began = time.perf_counter()
             kalman.reconstructFrame(self.model, values, q, qdot, qddot)
-            seconds[frame] = time.perf_counter() - start
+            seconds[frame] = time.perf_counter() - began
             result[frame] = q.to_array()
         return result, seconds

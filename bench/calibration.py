@@ -122,7 +122,7 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
     person = random_person(seed)
     fitted(person, 300, seed)
     metrics = {"calibration_warm_up_s": time.perf_counter() - begun}
-    times = {frames: [] for frames in (LENGTHS[:2] if quick else LENGTHS)}
+    times: dict[int, list[float]] = {frames: [] for frames in (LENGTHS[:2] if quick else LENGTHS)}
     for round_ in range(1 if quick else 3):
         for frames in times:
             times[frames].append(fitted(random_person(seed + round_), frames, seed + round_).report.seconds)

@@ -16,7 +16,8 @@ def peer(name: str) -> ModuleType | None:
     folder = Path(sys.prefix).parent / "peers"
     if not (folder / name).is_dir():
         print(f"installing {PEERS[name]} into {folder} ...", flush=True)
-        command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), PEERS[name]]
+        options = ["--quiet", "--no-input", "--disable-pip-version-check", "--retries", "1", "--no-deps"]
+        command = [sys.executable, "-m", "pip", "install", *options, "--target", str(folder), PEERS[name]]
         answer = subprocess.run(command, capture_output=True, text=True, check=False)
         if answer.returncode:
             reason = (answer.stderr.strip().splitlines() or ["pip failed"])[-1]

@@ -45,7 +45,7 @@ class TrackingSettings:
     """
 
     marker_noise: float = 0.002
-    rotation_noise: float = 600.0
+    rotation_noise: float = 400.0
     translation_noise: float = 60.0
     order: int = 3
     rate_memory: float = 0.5
