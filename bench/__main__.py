@@ -25,13 +25,12 @@ REACH = {
     "ukf_speed_over_filterpy": (">=", 10.0),
     "ukf_robust_diverged": ("<=", 0.0),
     "calibration_s": ("<=", 2.0),
-    "calibration_time_exponent": ("<=", 1.1),
+    "calibration_linear_exponent": ("<=", 1.1),
     "calibration_stalls": ("<=", 0.0),
     "calibration_speed_over_scipy": (">=", 10.0),
-    "calibration_centre_max_mm": ("<=", 5.0),
-    "calibration_elbow_forearm_axis_max_deg": ("<=", 1.5),
-    "calibration_wrist_axis_max_deg": ("<=", 1.5),
-    "calibration_limit_max_deg": ("<=", 3.0),
+    **{f"calibration_{kind}_centre_max_mm": ("<=", 5.0) for kind in calibration.KINDS},
+    **{f"calibration_{kind}_axis_max_deg": ("<=", 1.5) for kind in calibration.KINDS},
+    **{f"calibration_{kind}_limit_max_deg": ("<=", 3.0) for kind in calibration.KINDS},
     "sim_realtime_factor": (">=", 5.0),
 }
 AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
