@@ -1,0 +1,87 @@
+"""What the benchmark measures with: the peer's model is ours, motions are within reach, verdicts say what is true."""
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bench.__main__ import verdict
+from bench.arm import MOTIONS, RATE, error_deg, person, record
+from bench.biorbd_peer import model_text
+from handover_ros.skeleton.kernels import forward
+
+SOURCE = Path(__file__).resolve().parent.parent
+
+
+def blocks(text, kind):
+    """Return the fields of every segment or marker of a bioMod file, by name."""
+    found, name = {}, ""
+    lines = iter(text.splitlines())
+    for line in lines:
+        key, _, value = line.partition(" ")
+        if key == kind:
+            name, found[value] = value, {}
+        elif key == f"end{kind}":
+            name = ""
+        elif name and key == "rt":
+            found[name]["rt"] = np.array([next(lines).split() for _ in range(4)], dtype=float)
+        elif name:
+            found[name][key] = value
+    return found
+
+
+def test_the_peers_model_has_the_markers_of_ours():
+    """Segments turn about the z axis of their own frames, as the file says, down the chain."""
+    skeleton = person(3)
+    text = model_text(skeleton)
+    displacements = 0.5 * (skeleton.lower + skeleton.upper) + 0.3 * np.random.default_rng(0).normal(size=10)
+    poses = {"root": np.eye(4)}
+    for (name, segment), angle in zip(blocks(text, "segment").items(), displacements):
+        turn = np.eye(4)
+        turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+        assert segment["rotations"] == "z"
+        poses[name] = poses[segment["parent"]] @ segment["rt"] @ turn
+    markers = [
+        poses[marker["parent"]] @ [*map(float, marker["position"].split()), 1.0]
+        for marker in blocks(text, "marker").values()
+    ]
+    expected = forward(skeleton.tree, skeleton.coordinates(displacements))
+    np.testing.assert_allclose(np.array(markers)[:, :3], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_motions_are_a_persons(kind):
+    """Within the limits, smooth, of a human's speed; the same for the same seed."""
+    skeleton = person()
+    motion = record(skeleton, kind, 800, 5, missing=0.1)
+    assert (motion.displacements > skeleton.lower).all()
+    assert (motion.displacements < skeleton.upper).all()
+    speed = np.abs(np.diff(motion.displacements, axis=0)) * RATE
+    assert 1.0 < speed.max() < 7.0
+    assert 0.08 < np.isnan(motion.markers[:, :, 0]).mean() < 0.12
+    np.testing.assert_array_equal(record(skeleton, kind, 800, 5, missing=0.1).markers, motion.markers)
+    assert error_deg(motion.displacements + math.radians(2.0), motion) == pytest.approx(2.0)
+    assert error_deg(motion.displacements + 2.0 * math.pi, motion) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_verdicts():
+    metrics = {"calibration_s": 1.0, "ukf_rmse_deg": 0.3, "biorbd_rmse_deg": 0.25, "ukf_speed_over_biorbd": math.nan}
+    assert verdict("calibration_s", metrics) == ("<= 2", "[green]yes[/green]")
+    assert verdict("ukf_rmse_deg", metrics) == ("<= 0.25", "[red]no[/red]")
+    assert verdict("ukf_speed_over_biorbd", metrics) == (">= 1", "")
+    assert verdict("biorbd_rmse_deg", metrics) == ("", "")
+    assert verdict("ukf_rmse_deg", {"ukf_rmse_deg": 0.3, "biorbd_rmse_deg": math.nan}) == ("", "")
+
+
+def test_an_unknown_part_is_refused_in_one_line():
+    command = [sys.executable, "-m", "bench", "weather"]
+    answer = subprocess.run(command, cwd=SOURCE, capture_output=True, text=True, env=os.environ, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr.count("\n") == 1
+    assert "weather" in answer.stderr
+    assert "tracking" in answer.stderr
