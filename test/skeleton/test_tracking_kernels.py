@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from people import calibration_motion, drawer_cabinet, random_person, sweeps
+from scipy.stats import chi2
 
 from handover_ros.mocap.frames import MarkerStatus
 from handover_ros.skeleton.dynamics_model import decays, linear_dynamics
@@ -146,3 +147,30 @@ def test_a_covariance_that_is_none_is_reported():
     broken = Filter(motion, 2)
     broken.covariance[0, 0] = -1.0
     assert broken.step(motion.measured[1])[0] == -1
+
+
+def test_errors_and_innovations_are_as_large_as_it_says():
+    """Over many motions drawn from the very dynamics: both chi-squared sums lie within their 99.9 % bands."""
+    runs, frames, order = 40, 40, 3
+    motion = motion_of("cabinet", missing=0.0)
+    skeleton, (_, nv) = motion.skeleton, motion.skeleton.size
+    transition, noise = (np.kron(each, np.eye(nv)) for each in linear_dynamics(ELAPSED, order, *MEMORY))
+    errors, innovations, measured_numbers = 0.0, 0.0, 0
+    rng = np.random.default_rng(0)
+    for _ in range(runs):
+        ours = Filter(motion, order)
+        root = np.linalg.cholesky(noise * np.tile(ours.spectral, order))
+        state = np.concatenate([ours.q, ours.rates.ravel()]) + np.linalg.cholesky(ours.covariance) @ rng.normal(size=6)
+        for _ in range(frames):
+            state = transition @ state + root @ rng.normal(size=order * nv)
+            markers = forward(skeleton.tree, state[:nv])
+            observed = markers + NOISE * rng.normal(size=markers.shape)
+            observed[rng.random(len(markers)) < 0.3] = np.nan
+            used, squared, *_ = ours.step(observed)
+            innovations, measured_numbers = innovations + squared, measured_numbers + 3 * used
+        error = state - np.concatenate([ours.q, ours.rates.ravel()])
+        errors += error @ np.linalg.solve(ours.covariance, error)
+    low, high = chi2.ppf([0.0005, 0.9995], runs * order * nv)
+    assert low < errors < high
+    low, high = chi2.ppf([0.0005, 0.9995], measured_numbers)
+    assert low < innovations < high
