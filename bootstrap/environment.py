@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from bootstrap.layout import Layout
+from bootstrap.layout import Layout, digest
 from bootstrap.needs import missing_graphics
 from bootstrap.ros import SourcedRos
 
@@ -59,8 +59,19 @@ def cell_environment(layout: Layout, ros: SourcedRos | None) -> dict[str, str]:
     if "MUJOCO_GL" not in environment:
         # Without EGL the cell runs all the same, without pictures.
         environment["MUJOCO_GL"] = "egl" if not missing_graphics() else "disabled"
-    environment.setdefault("NUMBA_CACHE_DIR", str(cache_directory(environment) / "numba"))
+    kernels = cache_directory(environment) / "numba" / kernels_digest(layout.source)[:16]
+    environment.setdefault("NUMBA_CACHE_DIR", str(kernels))
     return environment
+
+
+def kernels_digest(source: Path) -> str:
+    """Return one hash of all modules that numba compiles.
+
+    Numba goes by the calling file alone: a kernel that inlines one of another file would stay as it was when that
+    one is edited. With the hash in the cache's path every edit compiles anew, and never leaves a stale kernel.
+    """
+    texts = ((path, path.read_bytes()) for path in sorted((source / "handover_ros").rglob("*.py")))
+    return digest(part for path, text in texts if b"import numba" in text for part in (path.name, text))
 
 
 def cache_directory(environment: Mapping[str, str]) -> Path:

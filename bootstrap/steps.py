@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bootstrap.cmake_paths import mend_cmake_files
 from bootstrap.console import SetupError, Step
-from bootstrap.environment import build_environment, cache_directory, cell_environment
+from bootstrap.environment import build_environment, cache_directory, cell_environment, kernels_digest
 from bootstrap.failures import explain
 from bootstrap.layout import LAYOUT_VERSION, UNFINISHED, Layout, Stamps, digest
 from bootstrap.process import run_logged
@@ -31,6 +33,7 @@ from bootstrap.ros import SourcedRos
 
 MESSAGES = "handover_msgs"
 PACKAGE = "handover_ros"
+KERNELS_KEPT = 14 * 86400.0  # [s] for which compiled kernels of other sources are kept
 
 
 @dataclass(frozen=True)
@@ -97,12 +100,13 @@ class Setup:
         return digest([self.venv_stamp(), str(source), *contents, *sorted(names)])
 
     def caches_stamp(self) -> str:
-        """What is compiled and converted, and where to; a stale cache costs time, nothing else."""
+        """What is compiled and converted, and where to; what is not warmed up costs time at the first start only."""
         source = self.layout.source
-        names = ("robot/kinematics_kernels.py", "robot/description.py", "sim/assets.py", "cell/warm_up.py")
+        names = ("robot/description.py", "sim/assets.py", "cell/warm_up.py", "skeleton/warm_up.py")
         contents = [(source / "handover_ros" / name).read_bytes() for name in names]
         contents += [path.read_bytes() for path in sorted((source / "config" / "robots").glob("*.yaml"))]
-        return digest([self.packages_stamp(), str(cache_directory(os.environ)), *contents])
+        parts = [self.packages_stamp(), kernels_digest(source), str(cache_directory(os.environ))]
+        return digest([*parts, *contents])
 
     def outstanding(self) -> list[PlannedStep]:
         """Return the steps that are not up to date, in order."""
@@ -208,6 +212,7 @@ class Setup:
 
     def warm_up(self, step: Step) -> None:
         """Fill the caches, so that the first start of the cell is as quick as the later ones; failing is no harm."""
+        self._forget_old_kernels()
         command = [str(self.layout.python), "-m", "handover_ros.cell.warm_up"]
         try:
             self._run(step, "caches", command, "filling the caches", cell_environment(self.layout, self.ros))
@@ -215,6 +220,14 @@ class Setup:
             step.result = f"left to the first start: {error}"
 
     # Helpers.
+
+    def _forget_old_kernels(self) -> None:
+        """Remove what was compiled from sources of weeks ago; other clones may still use the newer ones."""
+        oldest = time.time() - KERNELS_KEPT
+        for folder in (cache_directory(os.environ) / "numba").glob("*"):
+            with contextlib.suppress(OSError):
+                if folder.stat().st_mtime < oldest:
+                    shutil.rmtree(folder, ignore_errors=True)
 
     def _packages_title(self) -> str:
         return "Installing ROS 2 and Python packages" if self.ros is None else "Installing Python packages beside ROS 2"

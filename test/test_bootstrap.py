@@ -296,6 +296,25 @@ def test_operator_settings_are_kept_and_the_rest_is_safe(tmp_path, monkeypatch):
     assert environment["MUJOCO_GL"] == "osmesa"
 
 
+def test_an_edit_of_any_kernel_moves_the_cache_of_all(tmp_path, monkeypatch):
+    """Numba would keep a compiled caller when only a kernel of another file was edited."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    rooms = tmp_path / "handover_ros" / "skeleton"
+    rooms.mkdir(parents=True)
+    (rooms / "inner.py").write_text("import numba\nGAIN = 1.0\n")
+    (rooms / "outer.py").write_text("import numba\nfrom inner import GAIN\n")
+    (rooms / "other.py").write_text("import math\n")
+
+    def cache() -> str:
+        return cell_environment(Layout(tmp_path, tmp_path / "state"), None)["NUMBA_CACHE_DIR"]
+
+    before = cache()
+    (rooms / "other.py").write_text("import math, json\n")
+    assert cache() == before
+    (rooms / "inner.py").write_text("import numba\nGAIN = 2.0\n")
+    assert cache() != before
+
+
 def test_wheels_keep_another_sourced_ros_out(tmp_path, monkeypatch, capsys):
     """With ROS 2 of another distribution sourced, its folders reach none of our programs, and a line says so."""
     other = tmp_path / "opt"
