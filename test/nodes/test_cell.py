@@ -32,7 +32,8 @@ class Cell:
 
     def __init__(self, graph: Graph, tmp_path: Path) -> None:
         self.graph = graph
-        self.own = {"sim_node": {"realtime_factor": 1.0, "seed": 1, "picture_directory": str(tmp_path)}}
+        # Six processes at full speed fill two cores; what is tested here does not depend on the speed.
+        self.own = {"sim_node": {"realtime_factor": 0.7, "seed": 1, "picture_directory": str(tmp_path)}}
         self.processes: dict[str, NodeProcess] = {}
         self.events = graph.collect(SimulationEvent, "sim/events", RECORDER)
         self.truths: list[SimulationTruth] = []

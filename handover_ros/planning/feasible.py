@@ -1,0 +1,114 @@
+"""What taking an object costs a person: statistics of the feasible set of every grasp, at many object poses at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from handover_ros.arm.inverse_kinematics import feasible_sets, weigh, weigh_quadratic
+from handover_ros.arm.model import Arm, Side
+from handover_ros.ergonomics.arm_costs import ArmCost, SquaredDistance
+from handover_ros.errors import BadRequestError
+from handover_ros.geometry import FloatArray
+from handover_ros.planning.choice import LEAST, LOG_WEIGHT, MEAN, MEASURE, PLAIN_MEAN
+from handover_ros.planning.grasp_set import GraspSet
+from handover_ros.planning.obstacles import Obstacles
+
+STEP = 0.25  # [rad] in configuration space that a sample of a feasible set stands for
+
+
+@dataclass(frozen=True, eq=False)
+class Taker:
+    """A person as far as taking things goes.
+
+    Attributes:
+        arms: By side.
+        costs: What postures of each arm cost, by side.
+        step: Density of the samples of feasible sets [rad].
+    """
+
+    arms: Mapping[Side, Arm]
+    costs: Mapping[Side, ArmCost]
+    step: float = STEP
+
+    def __post_init__(self) -> None:
+        """Check that every arm has a cost.
+
+        Raises:
+            BadRequestError: One has not.
+        """
+        if set(self.arms) != set(self.costs) or not self.arms:
+            raise BadRequestError(f"a person needs a cost for each arm, got {list(self.arms)} and {list(self.costs)}")
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The hands."""
+        return tuple(self.arms)
+
+
+def statistics(
+    taker: Taker,
+    grasps: GraspSet,
+    torso_from_object: FloatArray,
+    rationality: float,
+    obstacles: Obstacles | None = None,
+) -> FloatArray:
+    """Return the statistics (p, grasps, 5) of the feasible sets of all grasps at object poses (p, 4, 4).
+
+    Columns as in ``choice``: measure, log weight, mean cost under (3.3), mean cost of all alike, least cost. Two hands
+    have the product of their sets: measures multiply, costs add.
+
+    Args:
+        taker: The person.
+        grasps: On the object.
+        torso_from_object: Poses in the torso frame.
+        rationality: Boltzmann coefficient; infinite: the best only.
+        obstacles: What forearm and hand must keep out of, in the torso frame; None: nothing.
+    """
+    poses = np.asarray(torso_from_object, dtype=float).reshape(-1, 4, 4)
+    result: FloatArray | None = None
+    for number, side in enumerate(grasps.sides):
+        hands = poses[:, None] @ grasps.poses[number][None]
+        table = hand_statistics(taker, side, hands.reshape(-1, 4, 4), rationality, obstacles)
+        table = table.reshape(len(poses), -1, 5)
+        places = grasps.hands[:, number]
+        own = np.where((places >= 0)[None, :, None], table[:, np.maximum(places, 0)], NO_HAND)
+        result = own if result is None else _together(result, own)
+    assert result is not None
+    return result
+
+
+# A hand that takes no part: one way to do so, at no cost.
+NO_HAND = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def _together(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the statistics of two hands that act together."""
+    result = first + second
+    result[..., MEASURE] = first[..., MEASURE] * second[..., MEASURE]
+    return result
+
+
+def hand_statistics(
+    taker: Taker, side: Side, torso_from_hand: FloatArray, rationality: float, obstacles: Obstacles | None = None
+) -> FloatArray:
+    """Return the statistics (n, 5) of the feasible sets of one hand at poses (n, 4, 4)."""
+    arm, cost = taker.arms[side], taker.costs[side]
+    if isinstance(cost, SquaredDistance) and obstacles is None:
+        preference = cost.preference
+        return weigh_quadratic(
+            arm, torso_from_hand, taker.step, preference.neutral, preference.weights, rationality
+        )
+    sets = feasible_sets(arm, torso_from_hand, taker.step)
+    costs, measures = cost.evaluate(sets.postures), sets.measures
+    if obstacles is not None and len(sets.postures):
+        free = obstacles.free(arm.limbs(sets.postures))
+        first = np.concatenate([[0], np.cumsum(free)])[sets.first]
+        sets = type(sets)(sets.postures[free], measures[free], first)
+        costs = costs[free]
+    return weigh(sets, costs, rationality)
+
+
+__all__ = ["LEAST", "LOG_WEIGHT", "MEAN", "MEASURE", "PLAIN_MEAN", "Taker", "hand_statistics", "statistics"]

@@ -1,0 +1,57 @@
+"""What a person's forearm and hand must keep out of where they put an object down: tables, shelves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_ros.geometry import FloatArray, invert_transform
+
+FOREARM_RADIUS = 0.04  # [m]
+HAND_RADIUS = 0.035  # [m] of a hand that grips, knuckles to palm
+FOREARM_POINTS, HAND_POINTS = 6, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacles:
+    """Boxes in the torso frame.
+
+    Attributes:
+        box_from_torso: Shape (k, 4, 4).
+        half: Half their lengths [m], shape (k, 3).
+    """
+
+    box_from_torso: FloatArray
+    half: FloatArray
+
+    def free(self, limbs: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return whether forearm and hand of limbs (n, 4, 3) - shoulder, elbow, wrist, grip [m] - are outside (n,).
+
+        They are balls along the bones, so near each other that no box of the thickness of a shelf fits between.
+        """
+        elbow, wrist, grip = limbs[:, 1], limbs[:, 2], limbs[:, 3]
+        along = np.linspace(0.0, 1.0, FOREARM_POINTS)[:, None, None]
+        fore = elbow + along * (wrist - elbow)
+        along = np.linspace(1.0 / HAND_POINTS, 1.0, HAND_POINTS)[:, None, None]
+        hand = wrist + along * (grip - wrist)
+        radii = np.repeat([FOREARM_RADIUS, HAND_RADIUS], [FOREARM_POINTS, HAND_POINTS])
+        points = np.concatenate([fore, hand])
+        free = np.ones(len(limbs), dtype=bool)
+        for pose, half in zip(self.box_from_torso, self.half):
+            outside = np.abs(points @ pose[:3, :3].T + pose[:3, 3]) - half
+            distance = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)  # inside: 0
+            free &= (distance >= radii[:, None]).all(axis=0)
+        return free
+
+
+def obstacles_of(
+    boxes: Sequence[tuple[FloatArray, FloatArray]], world_from_torso: FloatArray
+) -> Obstacles | None:
+    """Return boxes given as lengths (3,) [m] and world_from_box (4, 4) in the torso frame; None for none."""
+    if not boxes:
+        return None
+    poses = np.stack([invert_transform(world_from_box) @ world_from_torso for _, world_from_box in boxes])
+    return Obstacles(poses, np.stack([np.asarray(size, dtype=float) / 2.0 for size, _ in boxes]))
