@@ -147,7 +147,20 @@ def weigh_quadratic(
     Raises:
         BadRequestError: As for ``feasible_sets``.
     """
-    poses = _checked(arm, torso_from_hand)
+    return weigh_quadratic_segments(arm, _checked(arm, torso_from_hand), step, neutral, weights, rationality)
+
+
+def weigh_quadratic_segments(
+    arm: Arm, segment_poses: FloatArray, step: float, neutral: FloatArray, weights: FloatArray, rationality: float
+) -> FloatArray:
+    """Return what ``weigh_quadratic`` gives, for poses (n, 4, 4) as ``Arm.segment_poses`` returns them.
+
+    For many products of few rigid transforms: the poses are not checked again.
+
+    Raises:
+        BadRequestError: The step or the cost is wrong.
+    """
+    poses = np.ascontiguousarray(segment_poses)
     if not step > 0.0:
         raise BadRequestError(f"step: must be positive [rad], got {step}")
     table = np.empty((len(poses), 5))

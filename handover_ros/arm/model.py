@@ -110,7 +110,7 @@ class Arm:
 
     def hand_pose(self, displacements: npt.ArrayLike) -> FloatArray:
         """Return torso_from_hand (..., 4, 4), the pose of the grip, of displacements (..., 7) [rad]."""
-        return self._mirrored(self._right_frames(displacements)[-1] @ self.segment_from_hand)
+        return self.mirrored(self._right_frames(displacements)[-1] @ self.segment_from_hand)
 
     def limbs(self, displacements: npt.ArrayLike) -> FloatArray:
         """Return shoulder, elbow, wrist and grip (..., 4, 3) [m] in the torso frame of displacements (..., 7)."""
@@ -121,7 +121,7 @@ class Arm:
 
     def segment_poses(self, torso_from_hand: npt.ArrayLike) -> FloatArray:
         """Return the poses (n, 4, 4) of the hand segment, mirrored to the right, with the grip at poses (n, 4, 4)."""
-        grips = self._mirrored(np.asarray(torso_from_hand, dtype=float).reshape(-1, 4, 4))
+        grips = self.mirrored(np.asarray(torso_from_hand, dtype=float).reshape(-1, 4, 4))
         return np.ascontiguousarray(grips @ invert_transform(self.segment_from_hand))
 
     def within_limits(self, displacements: npt.ArrayLike, tolerance: float = 1e-9) -> npt.NDArray[np.bool_]:
@@ -129,8 +129,8 @@ class Arm:
         q = np.asarray(displacements)
         return np.asarray(((q >= self.limits[0] - tolerance) & (q <= self.limits[1] + tolerance)).all(axis=-1))
 
-    def _mirrored(self, poses: FloatArray) -> FloatArray:
-        """Return poses (..., 4, 4) of a right arm for this one, or the other way round."""
+    def mirrored(self, poses: FloatArray) -> FloatArray:
+        """Return poses (..., 4, 4) of a right arm for this one, or the other way round: unchanged for a right arm."""
         return poses if self.side == "right" else MIRROR @ poses @ MIRROR
 
     def _right_frames(self, displacements: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -257,9 +257,7 @@ def arm_posture(arm: Arm, skeleton: Skeleton, displacements: FloatArray) -> Floa
     return arm_displacements(arm, upper.point, upper_pose[:3, :3] @ hand.elbow + upper_pose[:3, 3], hand_pose)
 
 
-def arm_displacements(
-    arm: Arm, shoulder: FloatArray, elbow: FloatArray, torso_from_hand: FloatArray
-) -> FloatArray:
+def arm_displacements(arm: Arm, shoulder: FloatArray, elbow: FloatArray, torso_from_hand: FloatArray) -> FloatArray:
     """Return the displacements (7,) [rad] of an arm whose elbow and grip are seen; lengths need not agree.
 
     The elbow bends forwards, abduction and wrist flexion stay below a right angle.

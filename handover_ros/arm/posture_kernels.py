@@ -319,10 +319,9 @@ def _descend(
             if denominator > 0.0:
                 numerator = -numerator
             denominator = abs(denominator)
-            if (
-                abs(numerator) < abs(0.5 * denominator * last)
-                and denominator * (low - phi) < numerator < denominator * (high - phi)
-            ):
+            if abs(numerator) < abs(0.5 * denominator * last) and denominator * (
+                low - phi
+            ) < numerator < denominator * (high - phi):
                 last, step = step, numerator / denominator
                 if phi + step - low < 2.0 * NEAR_ENOUGH or high - phi - step < 2.0 * NEAR_ENOUGH:
                     step = NEAR_ENOUGH if middle > phi else -NEAR_ENOUGH

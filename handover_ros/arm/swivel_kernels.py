@@ -390,9 +390,7 @@ def arcs(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _merged(
-    branch: int, number: int, roots: FloatArray, stretches: FloatArray, found: FloatArray, count: int
-) -> int:
+def _merged(branch: int, number: int, roots: FloatArray, stretches: FloatArray, found: FloatArray, count: int) -> int:
     """Append the arcs of one branch, neighbouring stretches joined, across the start of the circle too."""
     before = count
     going_on = False

@@ -7,6 +7,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from handover_ros.geometry import FloatArray, make_transform
@@ -61,7 +62,7 @@ def object_centre(model: ObjectModel) -> FloatArray:
 
 @lru_cache(maxsize=MODELS)
 def object_corners(model: ObjectModel) -> FloatArray:
-    """Return the corners of the boxes around an object's solids, along the axes of its own frame [m]. Shape (k, 3)."""
+    """Return the outermost corners of the boxes around an object's solids, along its own axes [m]. Shape (k, 3)."""
     corners = []
     for part in model.primitives:
         rotation, middle = part.object_from_primitive[:3, :3], part.object_from_primitive[:3, 3]
@@ -73,6 +74,7 @@ def object_corners(model: ObjectModel) -> FloatArray:
             half = np.abs(rotation[:, 2]) * part.size[1] / 2.0 + part.size[0]
         corners += [middle + half * signs for signs in product((-1.0, 1.0), repeat=3)]
     result = np.array(corners)
+    result = result[np.sort(ConvexHull(result).vertices)]  # the others lie between them
     result.setflags(write=False)
     return result
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handover_ros.arm.inverse_kinematics import feasible_sets, weigh, weigh_quadratic
+from handover_ros.arm.inverse_kinematics import feasible_sets, weigh, weigh_quadratic_segments
 from handover_ros.arm.model import Arm, Side
 from handover_ros.ergonomics.arm_costs import ArmCost, SquaredDistance
 from handover_ros.errors import BadRequestError
@@ -70,14 +70,38 @@ def statistics(
     poses = np.asarray(torso_from_object, dtype=float).reshape(-1, 4, 4)
     result: FloatArray | None = None
     for number, side in enumerate(grasps.sides):
-        hands = poses[:, None] @ grasps.poses[number][None]
-        table = hand_statistics(taker, side, hands.reshape(-1, 4, 4), rationality, obstacles)
-        table = table.reshape(len(poses), -1, 5)
+        table = _side_statistics(taker, side, poses, grasps.poses[number], rationality, obstacles)
         places = grasps.hands[:, number]
-        own = np.where((places >= 0)[None, :, None], table[:, np.maximum(places, 0)], NO_HAND)
+        if (places >= 0).all():
+            own = table if np.array_equal(places, np.arange(table.shape[1])) else table[:, places]
+        else:
+            own = np.where((places >= 0)[None, :, None], table[:, np.maximum(places, 0)], NO_HAND)
         result = own if result is None else _together(result, own)
     assert result is not None
     return result
+
+
+def _side_statistics(
+    taker: Taker,
+    side: Side,
+    torso_from_object: FloatArray,
+    object_from_hand: FloatArray,
+    rationality: float,
+    obstacles: Obstacles | None,
+) -> FloatArray:
+    """Return the statistics (p, k, 5) of one hand's poses on an object at poses (p, 4, 4)."""
+    arm, cost = taker.arms[side], taker.costs[side]
+    shape = (len(torso_from_object), len(object_from_hand), 5)
+    if isinstance(cost, SquaredDistance) and obstacles is None:
+        segments = arm.mirrored(torso_from_object)[:, None] @ arm.segment_poses(object_from_hand)
+        wanted = cost.preference
+        table = weigh_quadratic_segments(
+            arm, segments.reshape(-1, 4, 4), taker.step, wanted.neutral, wanted.weights, rationality
+        )
+    else:
+        hands = torso_from_object[:, None] @ object_from_hand
+        table = hand_statistics(taker, side, hands.reshape(-1, 4, 4), rationality, obstacles)
+    return table.reshape(shape)
 
 
 # A hand that takes no part: one way to do so, at no cost.
@@ -94,13 +118,8 @@ def _together(first: FloatArray, second: FloatArray) -> FloatArray:
 def hand_statistics(
     taker: Taker, side: Side, torso_from_hand: FloatArray, rationality: float, obstacles: Obstacles | None = None
 ) -> FloatArray:
-    """Return the statistics (n, 5) of the feasible sets of one hand at poses (n, 4, 4)."""
+    """Return the statistics (n, 5) of the feasible sets of one hand at poses (n, 4, 4), from samples of them."""
     arm, cost = taker.arms[side], taker.costs[side]
-    if isinstance(cost, SquaredDistance) and obstacles is None:
-        preference = cost.preference
-        return weigh_quadratic(
-            arm, torso_from_hand, taker.step, preference.neutral, preference.weights, rationality
-        )
     sets = feasible_sets(arm, torso_from_hand, taker.step)
     costs, measures = cost.evaluate(sets.postures), sets.measures
     if obstacles is not None and len(sets.postures):

@@ -52,6 +52,18 @@ class GraspSet:
         names = [self.regions[number][place] for number, place in enumerate(self.hands[grasp]) if place >= 0]
         return " and ".join(names)
 
+    def subset(self, kept: npt.NDArray[np.bool_]) -> GraspSet:
+        """Return the grasps that are kept (grasps,), with the poses they need only."""
+        hands = self.hands[kept]
+        poses, regions, places = [], [], np.full(hands.shape, -1, dtype=np.int64)
+        for number in range(len(self.sides)):
+            used = np.unique(hands[hands[:, number] >= 0, number])
+            poses.append(self.poses[number][used])
+            regions.append(tuple(self.regions[number][place] for place in used))
+            own = hands[:, number] >= 0
+            places[own, number] = np.searchsorted(used, hands[own, number])
+        return GraspSet(self.sides, tuple(poses), tuple(regions), places)
+
     @property
     def grasp_regions(self) -> tuple[str, ...]:
         """The region of each grasp."""

@@ -47,9 +47,7 @@ class Obstacles:
         return free
 
 
-def obstacles_of(
-    boxes: Sequence[tuple[FloatArray, FloatArray]], world_from_torso: FloatArray
-) -> Obstacles | None:
+def obstacles_of(boxes: Sequence[tuple[FloatArray, FloatArray]], world_from_torso: FloatArray) -> Obstacles | None:
     """Return boxes given as lengths (3,) [m] and world_from_box (4, 4) in the torso frame; None for none."""
     if not boxes:
         return None

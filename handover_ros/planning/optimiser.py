@@ -1,0 +1,289 @@
+"""The optimiser of a handover: which robot grasp, and at which pose the object is offered (Bestick 2017, section 3.4).
+
+Two modes over the same objective. ``exhaustive`` looks at every pose of a grid, as the dissertation did: the oracle.
+``search`` is for a robot that waits: it starts from poses that a comfortable hand suggests and from an even spread,
+then closes in around the best ones, and asks the robot about its reach only from the best candidate on. It can be
+stopped at any time and then has its best so far.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_ros.geometry import FloatArray, invert_transform
+from handover_ros.objects.catalogue import ObjectModel
+from handover_ros.planning.choice import ChoiceModel, GoalCosts
+from handover_ros.planning.feasible import Taker, statistics
+from handover_ros.planning.grasp_set import GraspSet
+from handover_ros.planning.objectives import Objective
+from handover_ros.planning.pose_space import PoseSpace
+
+BoolArray = npt.NDArray[np.bool_]
+Reachable = Callable[[FloatArray, int], bool]  # torso_from_object, robot grasp
+
+FROM_PERSON = 0.5  # cosine between gripper and the person's reach above which the robot would come from their side
+CHUNK = 2000  # poses looked at together in the exhaustive mode
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be decided, and what is known.
+
+    Attributes:
+        model: The object.
+        grasps: Of the person.
+        object_from_gripper: Robot grasps, shape (r, 4, 4).
+        free: Which grasps each robot grasp leaves to the person, shape (r, grasps).
+        taker: The person's arms and what they find comfortable.
+        choice: How they choose.
+        goal: What each grasp costs at the goal.
+        objective: To be minimised.
+        space: Poses to choose from.
+        comfortable: torso_from_hand (4, 4) of a comfortable hand of each side of ``grasps``, in that order.
+    """
+
+    model: ObjectModel
+    grasps: GraspSet
+    object_from_gripper: FloatArray
+    free: BoolArray
+    taker: Taker
+    choice: ChoiceModel
+    goal: GoalCosts
+    objective: Objective
+    space: PoseSpace
+    comfortable: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A robot grasp and a pose of the object.
+
+    Attributes:
+        value: Of the objective.
+        point: The pose's numbers, see ``PoseSpace``. Shape (6,).
+        torso_from_object: Shape (4, 4).
+        robot_grasp: Row of ``Problem.object_from_gripper``.
+        table: Statistics of every grasp there, shape (grasps, 5).
+    """
+
+    value: float
+    point: FloatArray
+    torso_from_object: FloatArray
+    robot_grasp: int
+    table: FloatArray
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How the online mode searches.
+
+    Attributes:
+        spread: Poses of the first, even spread.
+        elites: Best candidates around which the next poses lie.
+        children: Poses around all of them in one round.
+        lengths: Scatter of each round's positions [m].
+        angles: Scatter of its angles [rad]; as many.
+        attempts: Robot grasps tried for one pose.
+        seed: Of the scatter.
+    """
+
+    spread: int = 128
+    elites: int = 6
+    children: int = 48
+    lengths: tuple[float, ...] = (0.10, 0.05, 0.025, 0.012, 0.006)
+    angles: tuple[float, ...] = (0.5, 0.25, 0.12, 0.06, 0.03)
+    attempts: int = 3
+    seed: int = 0
+
+
+@dataclass
+class SearchReport:
+    """What a search found and looked at.
+
+    Attributes:
+        candidates: Feasible ones, the best first.
+        poses: Number of poses looked at.
+        refused: Why others were not taken, in counts.
+        robot_checks: How often the robot was asked.
+        seconds: Wall time.
+        stopped: Whether the time ran out.
+    """
+
+    candidates: list[Candidate] = field(default_factory=list)
+    poses: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    robot_checks: int = 0
+    seconds: float = 0.0
+    stopped: bool = False
+
+
+class Pool:
+    """Everything looked at so far, one entry for each pose and each different set of grasps left free."""
+
+    def __init__(self, problem: Problem, reachable: Reachable | None, attempts: int, report: SearchReport) -> None:
+        self.problem, self.report = problem, report
+        self._reachable, self._attempts = reachable, attempts
+        self._masks, self._kind = np.unique(problem.free, axis=0, return_inverse=True)
+        self._kind = np.asarray(self._kind).reshape(-1)
+        self._points: list[FloatArray] = []
+        self._poses: list[FloatArray] = []
+        self._tables: list[FloatArray] = []
+        self._fronts: list[BoolArray] = []
+        self._values = np.empty(0)  # of the entries, row by row (pose, kind)
+        self._known: dict[int, int] = {}  # entry -> robot grasp that reaches it, -1: none does
+
+    def add(self, points: FloatArray) -> None:
+        """Look at poses (n, 6)."""
+        problem, report = self.problem, self.report
+        poses = problem.space.transforms(problem.model, points)
+        report.poses += len(points)
+        kept = problem.space.allowed(problem.model, poses, report.refused)
+        points, poses = points[kept], poses[kept]
+        axes = np.einsum("nj,rj->nr", poses[:, 0, :3], problem.object_from_gripper[:, :3, 2])
+        front = axes <= FROM_PERSON  # the gripper's axis along the person's reach, which is forward
+        table = statistics(problem.taker, problem.grasps, poses, problem.choice.hand_rationality)
+        values = problem.objective(table, problem.goal, problem.choice, self._masks)
+        has_front = np.zeros(values.shape, dtype=bool)
+        for kind in range(len(self._masks)):
+            has_front[:, kind] = front[:, self._kind == kind].any(axis=1)
+        report.refused["robot's gripper on the person's side"] += int((np.isfinite(values) & ~has_front).sum())
+        report.refused["no grasp in the person's reach"] += int((~np.isfinite(values)).all(axis=1).sum())
+        values[~has_front] = np.inf
+        self._points += list(points)
+        self._poses += list(poses)
+        self._tables += list(table)
+        self._fronts += list(front)
+        self._values = np.concatenate([self._values, values.ravel()])
+
+    def best(self, wanted: int, deadline: float, most_checks: int) -> list[int]:
+        """Return entries that the robot reaches, the best first, at most one a pose; asks the robot as it goes."""
+        found: list[int] = []
+        poses: set[int] = set()
+        checks = 0
+        for entry in np.argsort(self._values, kind="stable").tolist():
+            if not np.isfinite(self._values[entry]) or len(found) == wanted:
+                break
+            pose = entry // len(self._masks)
+            if pose in poses:
+                continue
+            if entry not in self._known:
+                if checks >= most_checks or (checks and time.monotonic() > deadline):
+                    continue
+                before = self.report.robot_checks
+                self._known[entry] = self._reaching(entry)
+                checks += self.report.robot_checks - before
+            if self._known[entry] >= 0:
+                found.append(entry)
+                poses.add(pose)
+        return found
+
+    def _reaching(self, entry: int) -> int:
+        """Return a robot grasp with which the robot can be at an entry, -1: none of those tried."""
+        pose, kind = divmod(entry, len(self._masks))
+        rows = np.flatnonzero((self._kind == kind) & self._fronts[pose])
+        if self._reachable is None:
+            return int(rows[0])
+        for row in rows[:: max(1, len(rows) // self._attempts)][: self._attempts]:
+            self.report.robot_checks += 1
+            if self._reachable(self._poses[pose], int(row)):
+                return int(row)
+        self.report.refused["out of the robot's reach or in collision"] += 1
+        return -1
+
+    def point(self, entry: int) -> FloatArray:
+        """Return the pose (6,) of an entry."""
+        return self._points[entry // len(self._masks)]
+
+    def candidate(self, entry: int) -> Candidate:
+        """Return an entry that the robot is known to reach."""
+        pose = entry // len(self._masks)
+        return Candidate(
+            float(self._values[entry]), self._points[pose], self._poses[pose], self._known[entry], self._tables[pose]
+        )
+
+
+def search(
+    problem: Problem,
+    reachable: Reachable | None = None,
+    budget: float = np.inf,
+    settings: SearchSettings | None = None,
+    wanted: int = 12,
+) -> SearchReport:
+    """Return the best candidates found online, at most ``wanted``.
+
+    Args:
+        problem: What is to be decided.
+        reachable: Tells whether the robot can be at a pose with a grasp; None: it always can.
+        budget: Wall time [s] after which the best so far is returned.
+        settings: How to search.
+        wanted: Number of candidates, in case the robot's way to the first is blocked.
+    """
+    settings = settings or SearchSettings()
+    started = time.monotonic()
+    deadline = started + budget
+    report = SearchReport()
+    pool = Pool(problem, reachable, settings.attempts, report)
+    rng = np.random.default_rng(settings.seed)
+    space, model = problem.space, problem.model
+    pool.add(np.concatenate([suggested(problem), space.spread(model, settings.spread, settings.seed)]))
+    for number, (length, angle) in enumerate(zip(settings.lengths, settings.angles, strict=True)):
+        if time.monotonic() > deadline:
+            report.stopped = True
+            break
+        elites = pool.best(settings.elites, deadline, 2 * settings.attempts * settings.elites)
+        if elites:
+            centres = np.stack([pool.point(entry) for entry in elites])
+            scatter = np.array([length, length, length, angle, angle, angle])
+            parents = centres[np.arange(settings.children) % len(centres)]
+            children = space.clip(model, parents + scatter * rng.normal(size=parents.shape))
+        else:
+            children = space.spread(model, 2 * settings.spread, settings.seed + 1 + number)
+        pool.add(children)
+    entries = pool.best(wanted, deadline, 4 * settings.attempts * wanted)
+    report.candidates = [pool.candidate(entry) for entry in entries]
+    report.seconds = time.monotonic() - started
+    return report
+
+
+def exhaustive(
+    problem: Problem, reachable: Reachable | None = None, spacing: float = 0.1, angle: float = 0.55, attempts: int = 3
+) -> SearchReport:
+    """Return the best candidate of a regular grid of poses, found by looking at every one of them: the oracle.
+
+    Args:
+        problem: What is to be decided.
+        reachable: As for ``search``.
+        spacing: Between neighbouring positions [m].
+        angle: Between neighbouring directions [rad].
+        attempts: Robot grasps tried for one pose.
+    """
+    started = time.monotonic()
+    report = SearchReport()
+    pool = Pool(problem, reachable, attempts, report)
+    points = problem.space.grid(problem.model, spacing, angle)
+    for start in range(0, len(points), CHUNK):
+        pool.add(points[start : start + CHUNK])
+    report.candidates = [pool.candidate(entry) for entry in pool.best(1, np.inf, 10**9)]
+    report.seconds = time.monotonic() - started
+    return report
+
+
+def suggested(problem: Problem) -> FloatArray:
+    """Return the poses (n, 6) that put each grasp into a comfortable hand, turned upright where the object must be."""
+    model, space, grasps = problem.model, problem.space, problem.grasps
+    found = []
+    for number, hand in enumerate(problem.comfortable):
+        poses = hand @ invert_transform(grasps.poses[number])
+        points = space.points_of(model, poses)
+        # Turned upright about the hand, so that the hand stays.
+        turned = space.transforms(model, points)
+        offsets = hand[:3, 3] - (np.einsum("nij,nj->ni", turned[:, :3, :3], grasps.poses[number][:, :3, 3]))
+        points[:, :3] += offsets - turned[:, :3, 3]
+        found.append(space.clip(model, points))
+    return np.concatenate(found)
