@@ -226,8 +226,8 @@ def arm_of(skeleton: Skeleton, side: Side) -> Arm:
     if not np.isfinite(limits).all():
         unknown = [JOINT_NAMES[i] for i in np.flatnonzero(~np.isfinite(limits).all(axis=0))]
         raise BadModelError(
-            f"skeleton {skeleton.name!r}: the limits of {side} {', '.join(unknown)} are unknown; calibrate with motions "
-            "that move these joints"
+            f"skeleton {skeleton.name!r}: the limits of {side} {', '.join(unknown)} are unknown; calibrate with "
+            "motions that move these joints"
         )
     hand = frames[side]
     shoulder = next(joint for joint in skeleton.joints if f"{side}_{JOINT_NAMES[0]}" in joint.displacement_names).point

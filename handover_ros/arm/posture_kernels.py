@@ -187,7 +187,7 @@ def weigh_quadratic(
     rationality: float,
     table: FloatArray,
 ) -> None:
-    """Fill ``table`` (n, 5) as ``sample`` and ``weigh`` do together with the cost (3.2), without keeping the samples."""
+    """Fill ``table`` (n, 5) as ``sample`` and ``weigh`` do together with the cost (3.2); the samples are not kept."""
     sums, axes, work = np.empty((SUMS, 3)), np.empty((3, 3)), np.empty(64)
     found, points = np.empty((MOST_ARCS, 3)), np.empty((MOST_POINTS, 9))
     q = np.empty(7)
@@ -347,6 +347,6 @@ def _descend(
             if tried_value <= second_value or second == phi:
                 third, third_value = second, second_value
                 second, second_value = tried, tried_value
-            elif tried_value <= third_value or third == phi or third == second:
+            elif tried_value <= third_value or third in (phi, second):
                 third, third_value = tried, tried_value
     return phi

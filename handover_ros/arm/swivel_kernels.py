@@ -338,7 +338,7 @@ def _feasible_branches(sums: FloatArray, gates: FloatArray, phi: float, slack: f
 def arcs(
     sums: FloatArray, bend: float, limits: FloatArray, gates: FloatArray, work: FloatArray, found: FloatArray
 ) -> int:
-    """Fill ``found`` (96, 3) with branch, start and end [rad] of the feasible arcs of the swivel angle; return how many.
+    """Fill ``found`` (96, 3) with branch, start and end [rad] of the feasible arcs; return how many there are.
 
     The arcs of a branch follow each other. One that is a single point has its end at its start; the whole circle is
     2 pi long.

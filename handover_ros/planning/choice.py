@@ -4,7 +4,8 @@ A person at a handover sees grasps g, each with a set of arm configurations to t
 cost (3.5), gamma C(hand) + (1 - gamma) C(goal). The configuration at the goal is chosen there, by (3.3) again; at the
 handover the person foresees its mean. So
 
-    P(g, q) ~ exp(-rationality (gamma C(q) + (1 - gamma) E[C(goal) | g])),   P(q_goal | g) ~ exp(-rationality C(q_goal)).
+    P(g, q) ~ exp(-rationality (gamma C(q) + (1 - gamma) E[C(goal) | g])),
+    P(q_goal | g) ~ exp(-rationality C(q_goal)).
 
 Sums over configurations are integrals over the feasible sets: each sample counts with its measure.
 """
@@ -14,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.geometry import FloatArray
@@ -114,7 +116,7 @@ def perceived(table: FloatArray, goal: GoalCosts, model: ChoiceModel) -> FloatAr
 
 
 def grasp_probabilities(
-    table: FloatArray, goal: GoalCosts, model: ChoiceModel, allowed: FloatArray | None = None
+    table: FloatArray, goal: GoalCosts, model: ChoiceModel, allowed: npt.NDArray[np.bool_] | None = None
 ) -> FloatArray:
     """Return P(g) (..., grasps); all zero where no grasp is feasible.
 
