@@ -132,7 +132,7 @@ def grasp_probabilities(
     best = attraction.max(axis=-1, keepdims=True)
     above = attraction - np.where(np.isfinite(best), best, 0.0)
     if model.is_perfect:  # of equally good grasps each in proportion to its ways of being the best
-        least = above >= -TIE * np.maximum(1.0, np.abs(best))
+        least = np.isfinite(attraction) & (above >= -TIE * np.maximum(1.0, np.abs(best)))
         share = np.where(least, np.exp(np.where(least, _tie_weight(table, model), 0.0)), 0.0)
     else:
         share = np.exp(above)
