@@ -19,7 +19,7 @@ from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.geometry import FloatArray
 
 GRAVITY = 9.80665  # [m/s2]
-SHOULDER_STRENGTH, ELBOW_STRENGTH = 60.0, 50.0  # [N m] of an average adult, J. Chaffin, Occupational Biomechanics
+SHOULDER_STRENGTH, ELBOW_STRENGTH = 60.0, 50.0  # [N m] of an average adult, D. B. Chaffin, Occupational Biomechanics
 
 
 class ArmCost(Protocol):
@@ -70,7 +70,10 @@ class SquaredDistance:
 
     def evaluate(self, postures: npt.ArrayLike) -> FloatArray:
         """Return the costs (...) of postures (..., 7) [rad]."""
-        offsets = np.asarray(postures, dtype=float) - self.preference.neutral
+        q = np.asarray(postures, dtype=float)
+        if q.shape[-1:] != (7,):
+            raise BadRequestError(f"an arm has 7 displacements, got an array of shape {q.shape}")
+        offsets = q - self.preference.neutral
         return np.asarray(np.square(offsets) @ self.preference.weights)
 
 
@@ -158,11 +161,11 @@ class RapidUpperLimbAssessment:
         q = np.asarray(postures, dtype=float)
         limbs = self.arm.limbs(q)
         along = (limbs[..., 1, :] - limbs[..., 0, :]) / self.arm.upper_arm
-        flexion = np.degrees(np.arctan2(along[..., 0], -along[..., 2]))
         outward = along[..., 1] * (-1.0 if self.arm.side == "right" else 1.0)
         raised = np.degrees(np.arccos(np.clip(-along[..., 2], -1.0, 1.0)))
         height = np.select([raised <= 20.0, raised <= 45.0, raised <= 90.0], [1, 2, 3], 4)
-        height = np.where((flexion < -20.0) & (height == 1), 2, height)
+        behind = -along[..., 0] > np.abs(along[..., 1])
+        height = np.where(behind & (height > 1), 2, height)  # extension has one score, however far
         upper = height + (np.degrees(np.arcsin(np.clip(outward, -1.0, 1.0))) > 20.0) + (along[..., 2] > 0.0)
         bend = np.degrees(q[..., 3])
         hand = limbs[..., 3, 1] * (1.0 if self.arm.side == "right" else -1.0)
