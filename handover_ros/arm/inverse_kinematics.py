@@ -235,6 +235,10 @@ def _checked(arm: Arm, torso_from_hand: npt.ArrayLike) -> FloatArray:
     gram = np.swapaxes(rotations, -1, -2) @ rotations - np.eye(3)
     if poses.size and np.abs(gram).max() > ROTATION_TOLERANCE:
         raise BadRequestError("hand poses must have rotation matrices (orthonormal)")
+    if (np.linalg.det(rotations) < 0.0).any():
+        raise BadRequestError("hand poses must have rotation matrices (right-handed), got a reflection")
+    if poses.size and np.abs(poses[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max() > ROTATION_TOLERANCE:
+        raise BadRequestError("hand poses must be rigid transforms with the last row 0 0 0 1")
     return arm.segment_poses(poses)
 
 

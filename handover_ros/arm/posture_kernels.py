@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from handover_ros.arm.swivel_kernels import MOST_ARCS, SUMS, IntArray, arcs, make_gates, posture, prepare
+from handover_ros.arm.swivel_kernels import FULL_TURN, MOST_ARCS, SUMS, IntArray, arcs, make_gates, posture, prepare
 from handover_ros.geometry import FloatArray
 
 PIECE = 0.15  # [rad] of swivel between the points at which an arc's length is measured, at most
@@ -43,6 +43,7 @@ def _walk(sums: FloatArray, bend: float, arc: FloatArray, limits: FloatArray, po
         squared = 0.0
         for joint in range(7):
             moved = points[count, joint] - points[count - 1, joint]
+            moved -= FULL_TURN * np.round(moved / FULL_TURN)  # from one end of a range of a full turn to the other
             squared += moved * moved
         chord = np.sqrt(squared)
         if chord > LONGEST_CHORD and step > SHORTEST_PIECE and count < MOST_POINTS - 1:

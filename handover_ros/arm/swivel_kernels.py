@@ -29,11 +29,16 @@ MOST_ROOTS = 24  # six angles, two limits each, two roots each
 MOST_ARCS = 96  # 8 branches, at most 12 stretches of 24 each
 LIMIT_TOLERANCE = 1e-9  # [rad] by which a displacement may pass its limit: rounding
 TANGENT = 1e-12  # by which a sum may miss zero where it only touches it
+ROUNDING = 1e-14  # of a sum along a stretch: some are constant there, at the very limit
 REACH_TOLERANCE = 1e-12  # of the cosine of the elbow's bend
+STRAIGHT = (
+    4e-15  # by which that cosine may miss 1 where the arm is straight: half the digits of the bend are lost there
+)
 PARALLEL = 1e-9  # [m] below which wrist and shoulder are one point
 VERTICAL = 1e-6  # length of a line's horizontal part below which it has no lowest side
 NO_DIRECTION = 1e-13  # cosine of a middle angle below which the outer two are not determined one by one
 LEAST_ARC = 1e-13  # [rad] of swivel
+ONE_POINT = 1e-6  # [rad] of swivel between roots that may be one: where limits meet or are only touched
 FULL_TURN = 2.0 * np.pi
 HALF_PI = 0.5 * np.pi
 
@@ -77,7 +82,7 @@ def prepare(
     cosine = (squared - upper_arm * upper_arm - forearm * forearm) / (2.0 * upper_arm * forearm)
     if not (-1.0 - REACH_TOLERANCE <= cosine <= 1.0 + REACH_TOLERANCE):
         return -1.0
-    cosine = min(max(cosine, -1.0), 1.0)
+    cosine = 1.0 if cosine > 1.0 - STRAIGHT else max(cosine, -1.0)
     bend = np.arccos(cosine)
     distance = np.sqrt(squared)
     if distance > PARALLEL:
@@ -335,13 +340,24 @@ def _feasible_branches(sums: FloatArray, gates: FloatArray, phi: float, slack: f
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _covered(branch: int, phi: float, found: FloatArray, count: int) -> bool:
+    """Return whether an arc of the branch has a swivel angle, or all but has it."""
+    for row in range(count):
+        beyond = phi - found[row, 1] + ONE_POINT
+        beyond -= FULL_TURN * np.floor(beyond / FULL_TURN)
+        if found[row, 0] == branch and beyond <= found[row, 2] - found[row, 1] + 2.0 * ONE_POINT:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def arcs(
     sums: FloatArray, bend: float, limits: FloatArray, gates: FloatArray, work: FloatArray, found: FloatArray
 ) -> int:
     """Fill ``found`` (96, 3) with branch, start and end [rad] of the feasible arcs; return how many there are.
 
-    The arcs of a branch follow each other. One that is a single point has its end at its start; the whole circle is
-    2 pi long.
+    The arcs of a branch follow each other; then come single points, their end at their start. The whole circle is 2 pi
+    long.
 
     Args:
         sums: Of ``prepare``.
@@ -355,7 +371,7 @@ def arcs(
     elbows = 0
     if limits[0, 3] - LIMIT_TOLERANCE <= bend <= limits[1, 3] + LIMIT_TOLERANCE:
         elbows |= 0b01010101
-    if limits[0, 3] - LIMIT_TOLERANCE <= -bend <= limits[1, 3] + LIMIT_TOLERANCE:
+    if bend > 0.0 and limits[0, 3] - LIMIT_TOLERANCE <= -bend <= limits[1, 3] + LIMIT_TOLERANCE:
         elbows |= 0b10101010
     if elbows == 0:
         return 0
@@ -370,22 +386,27 @@ def arcs(
         end = roots[index + 1] if index + 1 < number else roots[0] + FULL_TURN
         here = -1  # too short to count
         if end - roots[index] >= LEAST_ARC:
-            here = elbows & _feasible_branches(sums, gates, 0.5 * (roots[index] + end), 0.0)
+            here = elbows & _feasible_branches(sums, gates, 0.5 * (roots[index] + end), ROUNDING)
             any_branch |= here
         stretches[index] = here
     count = 0
     for branch in range(BRANCHES):
         if (any_branch >> branch) & 1:
             count = _merged(branch, number, roots, stretches, found, count)
-    if count == 0:  # nothing but, perhaps, a point where limits meet
-        for index in range(number):
-            here = elbows & _feasible_branches(sums, gates, roots[index], LIMIT_TOLERANCE)
-            for branch in range(BRANCHES):
-                if not (here >> branch) & 1 or count == MOST_ARCS:
-                    continue
-                if posture(sums, bend, roots[index], branch, limits, q):
-                    found[count, 0], found[count, 1], found[count, 2] = branch, roots[index], roots[index]
-                    count += 1
+    # Points where limits meet or are touched; when nothing else is feasible, any root within rounding of it.
+    arcs_only = count
+    for index in range(number):
+        before = roots[index - 1] if index > 0 else roots[number - 1] - FULL_TURN
+        after = roots[index + 1] if index + 1 < number else roots[0] + FULL_TURN
+        if arcs_only > 0 and min(after - roots[index], roots[index] - before) > ONE_POINT:
+            continue
+        here = elbows & _feasible_branches(sums, gates, roots[index], LIMIT_TOLERANCE)
+        for branch in range(BRANCHES):
+            if not (here >> branch) & 1 or count == MOST_ARCS or _covered(branch, roots[index], found, count):
+                continue
+            if posture(sums, bend, roots[index], branch, limits, q):
+                found[count, 0], found[count, 1], found[count, 2] = branch, roots[index], roots[index]
+                count += 1
     return count
 
 

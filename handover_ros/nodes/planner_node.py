@@ -40,6 +40,7 @@ from handover_ros.planning import (
     TrackedPerson,
     load_schemes,
 )
+from handover_ros.planning.offers import HandoverTask
 from handover_ros.planning.personal import BODY_MASS
 from handover_ros.planning.types import OutdatedSnapshotError
 from handover_ros.robot import RobotModel, Trajectory
@@ -96,6 +97,7 @@ class PlannerNode(HandoverNode):
         settings = PlannerSettings(default_scheme=self.parameters["scheme"], **chosen)
         schemes = load_schemes()
         self.planner = HandoverPlanner(robot, load_scene(self.parameters["scene"]), load_catalogue(), schemes, settings)
+        self.planner.warm_up()
         self.robot = robot
         # Latest values with the wall time of their arrival.
         self.joints: dict[str, tuple[float, FloatArray]] = {}
@@ -195,7 +197,8 @@ class PlannerNode(HandoverNode):
         if profile is not self.profile:
             return  # another one came meanwhile
         try:
-            scheme.offers(self.planner.motion.object_model(name), np.eye(4), self.person(np.eye(4), profile, None))
+            model, person = self.planner.motion.object_model(name), self.person(np.eye(4), profile, None)
+            scheme.offers(HandoverTask(model, np.eye(4), person))
         except HandoverError as error:
             self.last_problem = str(error)
 
@@ -270,6 +273,7 @@ class PlannerNode(HandoverNode):
             arm=request.arm,
             time_budget=request.time_budget,
             world_from_goal=goal_of(request.goal) if request.has_goal else None,
+            person_model=request.person_model,
         )
         await self.until_first_data()
         give_up = self.seconds_now() + self.parameters["still_wait"]

@@ -72,10 +72,12 @@ def statistics(
     for number, side in enumerate(grasps.sides):
         table = _side_statistics(taker, side, poses, grasps.poses[number], rationality, obstacles)
         places = grasps.hands[:, number]
-        if (places >= 0).all():
+        takes = places >= 0
+        if takes.all():
             own = table if np.array_equal(places, np.arange(table.shape[1])) else table[:, places]
         else:
-            own = np.where((places >= 0)[None, :, None], table[:, np.maximum(places, 0)], NO_HAND)
+            own = np.tile(NO_HAND, (len(poses), len(grasps), 1))
+            own[:, takes] = table[:, places[takes]]
         result = own if result is None else _together(result, own)
     assert result is not None
     return result

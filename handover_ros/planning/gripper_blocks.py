@@ -33,8 +33,8 @@ def free_grasps(
         touched = np.zeros((len(grippers), len(poses)), dtype=bool)
         hand_from_object = np.ascontiguousarray(invert_transform(poses))
         _touching(np.ascontiguousarray(points), grippers, hand_from_object, HAND_BOXES, touched)
-        places = grasps.hands[:, number]
-        free &= np.where(places >= 0, ~touched[:, np.maximum(places, 0)], True)
+        takes = grasps.hands[:, number] >= 0
+        free[:, takes] &= ~touched[:, grasps.hands[takes, number]]
     return free
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from handover_ros.errors import ErrorCode, InfeasibleError, UnknownNameError
-from handover_ros.geometry import FloatArray
+from handover_ros.errors import ErrorCode, HandoverError, InfeasibleError, UnknownNameError
+from handover_ros.geometry import FloatArray, invert_transform, make_transform
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.scene import Scene
+from handover_ros.planning.expected_cost import ExpectedCostScheme
+from handover_ros.planning.explain import explain
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
-from handover_ros.planning.offers import Offer, Scheme
+from handover_ros.planning.offers import HandoverTask, Offer, RobotSide, Scheme
 from handover_ros.planning.picking import Holding, Pick, Picking, held_pick
 from handover_ros.planning.types import (
     CellSnapshot,
@@ -22,14 +26,18 @@ from handover_ros.planning.types import (
     OutdatedSnapshotError,
     PlannedStage,
     PlannerSettings,
+    TrackedPerson,
 )
 from handover_ros.robot.collision import Reason
+from handover_ros.robot.gripper_points import gripper_points
 from handover_ros.robot.model import RobotModel
 from handover_ros.robot.path import Validity, straight_line
 from handover_ros.robot.reach import Reasons
+from handover_ros.robot.shapes import object_solids
 
 POSTURES_TRIED = 2  # per pick and offer
 PATHS_TRIED = 4  # per offer
+ROUNDS = 4  # a scheme is asked
 COMBINATIONS_KEPT = 8
 PERSON_SIDE = (
     0.5  # cosine between gripper approach and the person's reach above which the robot would be in the person's way
@@ -84,6 +92,7 @@ class HandoverPlanner:
     ) -> None:
         self.motion = MotionPlanner(robot, scene, catalogue, settings)
         self.schemes = schemes
+        self._grippers = {arm: gripper_points(self.motion.geometry, arm) for arm in robot.arm_names}
 
     def plan(
         self, request: HandoverRequest, snapshot: CellSnapshot, outdated: Callable[[], bool] = lambda: False
@@ -111,26 +120,100 @@ class HandoverPlanner:
         scheme = self.scheme(request.scheme)
         world_from_object = self.motion.object_pose(snapshot, request.object_name)
         arms = self._arms(request, world_from_object, snapshot)
-        offers = scheme.offers(model, self.motion.robot.world_from_base, snapshot.person)
+        refusal: InfeasibleError | None = None
         for arm in arms:
             lead, ready, picking = self._picking(arm, request.object_name, snapshot, search)
             search.grasps += 1 if picking is None else len(picking.grasps)
-            for offer in offers:
-                if picking is None:
+            if picking is None or not picking.grasps:
+                continue
+            task = self.task(request, model, picking, ready, search)
+            for _ in range(ROUNDS):
+                known = picking.refusals
+                try:
+                    offers = scheme.offers(task)
+                except InfeasibleError as error:  # another arm may do better
+                    refusal = refusal or error
                     break
-                search.offers += 1
-                _refuse_outdated(outdated)
-                for combination in self._combinations(offer, picking, ready, search):
-                    stages = self._stages(combination, lead, ready, search)
-                    if stages is not None:
-                        _refuse_outdated(outdated)
-                        elapsed = time.monotonic() - started
-                        return _plan(request, scheme, combination, stages, elapsed, search)
-                if search.out_of_time:
+                for offer in offers:
+                    search.offers += 1
+                    _refuse_outdated(outdated)
+                    for combination in self._combinations(offer, picking, ready, search):
+                        stages = self._stages(combination, lead, ready, search)
+                        if stages is not None:
+                            _refuse_outdated(outdated)
+                            elapsed = time.monotonic() - started
+                            return _plan(request, scheme, combination, stages, elapsed, search)
+                    if search.out_of_time:
+                        break
+                # A scheme that chose grasps which turned out not to be picked up may choose others.
+                chosen = any(offer.robot_grasp is not None for offer in offers)
+                if search.out_of_time or not chosen or picking.refusals == known:
                     break
-            if picking is not None:
-                search.picks += picking.found
+            search.picks += picking.found
+        if refusal is not None and not search.offers:
+            raise refusal
         raise self._refusal(request, search, arms)
+
+    def task(
+        self,
+        request: HandoverRequest,
+        model: ObjectModel,
+        picking: Picking | Holding,
+        snapshot: CellSnapshot,
+        search: Search,
+    ) -> HandoverTask:
+        """Return what a scheme is asked for one arm."""
+        return HandoverTask(
+            model=model,
+            world_from_base=self.motion.robot.world_from_base,
+            person=snapshot.person,
+            world_from_goal=request.world_from_goal,
+            person_model=request.person_model,
+            boxes=tuple((np.array(box.size), box.parent_from_solid) for box in self.motion.boxes),
+            robot=self._robot_side(picking, snapshot, search),
+            budget=max(0.0, search.deadline - time.monotonic()),
+        )
+
+    def _robot_side(self, picking: Picking | Holding, snapshot: CellSnapshot, search: Search) -> RobotSide:
+        """Return what an arm can hold where: whether it picks the object up with a grasp and can be at a pose."""
+        motion, name = self.motion, picking.name
+        reach, standing = motion.reaches[picking.arm], motion.standing(snapshot)
+        model = motion.object_model(name)
+        ways = [invert_transform(pose) for pose in picking.grasps]
+        checker = motion.checker(picking.arm, snapshot, motion.held_object(picking.arm, name, ways[0]))
+
+        def reachable(world_from_object: FloatArray, index: int) -> bool:
+            if picking.refused(index):
+                return False
+            world_from_gripper = world_from_object @ picking.grasps[index]
+            if not reach.quick_check(world_from_gripper, None, standing, search.offering):
+                return False
+            if not picking.plausible(index):
+                return False
+            checker.hold(object_solids(model, ways[index]))
+            return reach.quick_check(world_from_gripper, checker, standing, search.offering)
+
+        def near(world_from_object: FloatArray) -> npt.NDArray[np.bool_]:
+            return reach.inverse_kinematics.all_within_arm_length(world_from_object[:, None] @ grasps)
+
+        grasps = np.array(picking.grasps)
+        return RobotSide(grasps, self._grippers[picking.arm], near, reachable)
+
+    def warm_up(self) -> None:
+        """Load (at the very first time: compile) what a plan runs, so that no request waits for it."""
+        scheme = next((each for each in self.schemes.values() if isinstance(each, ExpectedCostScheme)), None)
+        if scheme is None:
+            return
+        model = next(iter(self.motion.catalogue.values()))
+        arm = self.motion.robot.arm_names[0]
+        anything = np.tile(np.eye(4), (1, 1, 1))
+        robot = RobotSide(
+            anything, self._grippers[arm], lambda poses: np.ones((len(poses), 1), dtype=bool), lambda pose, index: True
+        )
+        person = TrackedPerson(make_transform(np.eye(3), [0.0, 0.0, 1.4]))
+        goal = make_transform(np.eye(3), [0.4, 0.0, 1.1])
+        with contextlib.suppress(HandoverError):  # whether there is an answer does not matter
+            scheme.offers(HandoverTask(model, np.eye(4), person, goal, robot=robot))
 
     def scheme(self, name: str) -> Scheme:
         """Return a scheme by name; the default one for an empty name.
@@ -187,9 +270,7 @@ class HandoverPlanner:
             if picking.refused(index):
                 continue
             reach = self.motion.reaches[picking.arm]
-            if not len(reach.inverse_kinematics.solve(world_from_gripper, wanted=1)):
-                within = reach.inverse_kinematics.within_arm_length(world_from_gripper)
-                search.offering.add(Reason.JOINT_LIMITS if within else Reason.OUT_OF_REACH)
+            if not reach.has_solution(world_from_gripper, search.offering):
                 continue
             pick = picking[index]
             if pick is None:
@@ -210,6 +291,9 @@ class HandoverPlanner:
         for index, object_from_gripper in enumerate(picking.grasps):
             world_from_gripper = offer.world_from_object @ object_from_gripper
             towards = float(world_from_gripper[:3, 2] @ offer.reach)
+            if offer.robot_grasp is not None:  # the scheme has looked at hands and sides itself
+                usable += [(index, world_from_gripper, towards)] if index == offer.robot_grasp else []
+                continue
             apart = min(np.linalg.norm(world_from_gripper[:3, 3] - hand[:3, 3]) for hand in offer.hands)
             if towards <= PERSON_SIDE and apart >= self.motion.settings.hand_clearance:
                 usable.append((index, world_from_gripper, towards))
@@ -337,6 +421,8 @@ def _plan(
     expectation = ""
     if expected is not None:
         expectation = f"Expected posture: {expected.words}; {expected.cost_name} cost {expected.cost:.2f}. "
+    if offer.predicted is not None:
+        expectation = f"{explain(offer.predicted)} "
     text = (
         f"The {pick.arm} arm {taken} and offers it at {where} m ({place})"
         f"{turned}. {expectation}Looked at {search.offers} offers and {search.picks} grasps; refused: {refused}."
@@ -358,4 +444,5 @@ def _plan(
         candidates=search.offers,
         explanation=text,
         expected=expected,
+        predicted=offer.predicted,
     )

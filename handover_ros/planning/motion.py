@@ -36,6 +36,7 @@ class MotionPlanner:
         scene: Its fixed surroundings.
         catalogue: Known objects by name.
         settings: How to plan.
+        boxes: Of the scene, as solids.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class MotionPlanner:
         }
         for name, reach in self.reaches.items():  # compiles the kernels before the first request
             reach.inverse_kinematics.solve(robot.gripper_pose(name, robot.arm(name).home), wanted=1)
-        self._boxes = tuple(Solid(box.name, "box", tuple(box.size), box.world_from_box) for box in scene.boxes)
+        self.boxes = tuple(Solid(box.name, "box", tuple(box.size), box.world_from_box) for box in scene.boxes)
 
     def object_model(self, name: str) -> ObjectModel:
         """Return an object of the catalogue.
@@ -125,7 +126,7 @@ class MotionPlanner:
         """
         torso = snapshot.world_from_torso
         surroundings = Surroundings(
-            boxes=self._boxes,
+            boxes=self.boxes,
             objects={
                 name: object_solids(self.catalogue[name], pose)
                 for name, pose in snapshot.objects.items()

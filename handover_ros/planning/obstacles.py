@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray, invert_transform
 
-FOREARM_RADIUS = 0.04  # [m]
+FOREARM_RADII = 0.045, 0.028  # [m] at the elbow and at the wrist
 HAND_RADIUS = 0.035  # [m] of a hand that grips, knuckles to palm
 FOREARM_POINTS, HAND_POINTS = 6, 3
 
@@ -37,7 +37,7 @@ class Obstacles:
         fore = elbow + along * (wrist - elbow)
         along = np.linspace(1.0 / HAND_POINTS, 1.0, HAND_POINTS)[:, None, None]
         hand = wrist + along * (grip - wrist)
-        radii = np.repeat([FOREARM_RADIUS, HAND_RADIUS], [FOREARM_POINTS, HAND_POINTS])
+        radii = np.append(np.linspace(*FOREARM_RADII, FOREARM_POINTS), np.full(HAND_POINTS, HAND_RADIUS))
         points = np.concatenate([fore, hand])
         free = np.ones(len(limbs), dtype=bool)
         for pose, half in zip(self.box_from_torso, self.half):

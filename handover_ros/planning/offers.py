@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
-from handover_ros.planning.types import ExpectedPosture, TrackedPerson
+from handover_ros.planning.goal_stance import Box
+from handover_ros.planning.types import ExpectedPosture, PredictedChoice, TrackedPerson
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +27,8 @@ class Offer:
         nominal: Whether it is the scheme's own position, not one beside it.
         world_from_other_hand: The other hand, for objects that need two; None: one is enough. Shape (4, 4).
         expected: The posture the person is expected to take; None: the scheme knows nothing of it.
+        robot_grasp: Place in ``RobotSide.object_from_gripper`` of the grasp it was chosen with; None: any will do.
+        predicted: How the person is expected to choose; None: the scheme knows nothing of it.
     """
 
     world_from_object: FloatArray
@@ -33,12 +38,56 @@ class Offer:
     nominal: bool
     world_from_other_hand: FloatArray | None = None
     expected: ExpectedPosture | None = None
+    robot_grasp: int | None = None
+    predicted: PredictedChoice | None = None
 
     @property
     def hands(self) -> tuple[FloatArray, ...]:
         """The one or two hands of the person, each (4, 4)."""
         other = self.world_from_other_hand
         return (self.world_from_hand,) if other is None else (self.world_from_hand, other)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSide:
+    """What a scheme that chooses the robot's grasp too needs to know of the robot.
+
+    Attributes:
+        object_from_gripper: The grasps of one arm, shape (r, 4, 4).
+        gripper: The gripper as points in its own frame [m], shape (n, 3).
+        near: Tells at which object poses (n, 4, 4) in the world each grasp is within the arm's length (n, r).
+        reachable: Tells whether the arm can be there with a grasp: world_from_object (4, 4), place of the grasp.
+    """
+
+    object_from_gripper: FloatArray
+    gripper: FloatArray
+    near: Callable[[FloatArray], npt.NDArray[np.bool_]]
+    reachable: Callable[[FloatArray, int], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class HandoverTask:
+    """What an object shall be offered for, and to whom.
+
+    Attributes:
+        model: The object.
+        world_from_base: The robot's base frame. Shape (4, 4).
+        person: What is known of the person, or None when nobody is tracked.
+        world_from_goal: Object pose to which the person shall bring it, or None. Shape (4, 4).
+        person_model: How the person chooses, as in ``choice.person_model``; empty: the scheme's default.
+        boxes: Of the scene, for what is in the person's way at the goal.
+        robot: The arm that is to offer it; None: not asked for.
+        budget: Wall time [s] a scheme may take.
+    """
+
+    model: ObjectModel
+    world_from_base: FloatArray
+    person: TrackedPerson | None
+    world_from_goal: FloatArray | None = None
+    person_model: str = ""
+    boxes: tuple[Box, ...] = ()
+    robot: RobotSide | None = None
+    budget: float = float("inf")
 
 
 class Scheme(Protocol):
@@ -52,13 +101,11 @@ class Scheme(Protocol):
     def needs_person(self) -> bool:
         """Whether the torso pose must be known."""
 
-    def offers(self, model: ObjectModel, world_from_base: FloatArray, person: TrackedPerson | None) -> list[Offer]:
+    def offers(self, task: HandoverTask) -> list[Offer]:
         """Return the poses at which to offer an object, the best first; the planner takes the first it can reach.
 
         Args:
-            model: The object.
-            world_from_base: The robot's base frame. Shape (4, 4).
-            person: What is known of the person, or None when nobody is tracked.
+            task: The object, the person and what else is known.
 
         Raises:
             StaleDataError: The torso pose is needed and not known.

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,20 @@ from handover_ros.planning.objectives import Objective
 from handover_ros.planning.pose_space import PoseSpace
 
 BoolArray = npt.NDArray[np.bool_]
-Reachable = Callable[[FloatArray, int], bool]  # torso_from_object, robot grasp
+
+
+class Robot(Protocol):
+    """The arm that is to offer the object, as the search asks it; object poses are in the torso frame."""
+
+    def near(self, torso_from_object: FloatArray) -> BoolArray:
+        """Return whether its grasps are within its length at poses (n, 4, 4), shape (n, robot grasps): cheap."""
+
+    def reachable(self, torso_from_object: FloatArray, robot_grasp: int) -> bool:
+        """Return whether it can be at a pose (4, 4) with a grasp, free of collisions: dear."""
+
 
 FROM_PERSON = 0.5  # cosine between gripper and the person's reach above which the robot would come from their side
+LEAST_CHECKS = 4  # the robot is asked even when the time has run out
 CHUNK = 2000  # poses looked at together in the exhaustive mode
 
 
@@ -89,16 +100,18 @@ class SearchSettings:
         children: Poses around all of them in one round.
         lengths: Scatter of each round's positions [m].
         angles: Scatter of its angles [rad]; as many.
+        checks: How often the robot is asked in one round, about.
         attempts: Robot grasps tried for one pose.
         seed: Of the scatter.
     """
 
     spread: int = 128
-    elites: int = 6
+    elites: int = 5
     children: int = 48
     lengths: tuple[float, ...] = (0.10, 0.05, 0.025, 0.012, 0.006)
     angles: tuple[float, ...] = (0.5, 0.25, 0.12, 0.06, 0.03)
-    attempts: int = 3
+    checks: int = 20
+    attempts: int = 2
     seed: int = 0
 
 
@@ -126,15 +139,15 @@ class SearchReport:
 class Pool:
     """Everything looked at so far, one entry for each pose and each different set of grasps left free."""
 
-    def __init__(self, problem: Problem, reachable: Reachable | None, attempts: int, report: SearchReport) -> None:
+    def __init__(self, problem: Problem, robot: Robot | None, attempts: int, report: SearchReport) -> None:
         self.problem, self.report = problem, report
-        self._reachable, self._attempts = reachable, attempts
+        self._robot, self._attempts = robot, attempts
         self._masks, self._kind = np.unique(problem.free, axis=0, return_inverse=True)
         self._kind = np.asarray(self._kind).reshape(-1)
         self._points: list[FloatArray] = []
         self._poses: list[FloatArray] = []
         self._tables: list[FloatArray] = []
-        self._fronts: list[BoolArray] = []
+        self._ways: list[BoolArray] = []
         self._values = np.empty(0)  # of the entries, row by row (pose, kind)
         self._known: dict[int, int] = {}  # entry -> robot grasp that reaches it, -1: none does
 
@@ -147,18 +160,19 @@ class Pool:
         points, poses = points[kept], poses[kept]
         axes = np.einsum("nj,rj->nr", poses[:, 0, :3], problem.object_from_gripper[:, :3, 2])
         front = axes <= FROM_PERSON  # the gripper's axis along the person's reach, which is forward
+        near = np.ones_like(front) if self._robot is None else self._robot.near(poses)
         table = statistics(problem.taker, problem.grasps, poses, problem.choice.hand_rationality)
         values = problem.objective(table, problem.goal, problem.choice, self._masks)
-        has_front = np.zeros(values.shape, dtype=bool)
-        for kind in range(len(self._masks)):
-            has_front[:, kind] = front[:, self._kind == kind].any(axis=1)
-        report.refused["robot's gripper on the person's side"] += int((np.isfinite(values) & ~has_front).sum())
-        report.refused["no grasp in the person's reach"] += int((~np.isfinite(values)).all(axis=1).sum())
-        values[~has_front] = np.inf
+        feasible = np.isfinite(values)
+        report.refused["no grasp in the person's reach"] += int((~feasible).all(axis=1).sum())
+        for ways, reason in ((front, "robot's gripper on the person's side"), (front & near, "beyond the robot's arm")):
+            possible = np.stack([ways[:, self._kind == kind].any(axis=1) for kind in range(len(self._masks))], axis=1)
+            report.refused[reason] += int((np.isfinite(values) & ~possible).sum())
+            values[~possible] = np.inf
         self._points += list(points)
         self._poses += list(poses)
         self._tables += list(table)
-        self._fronts += list(front)
+        self._ways += list(front & near)
         self._values = np.concatenate([self._values, values.ravel()])
 
     def best(self, wanted: int, deadline: float, most_checks: int) -> list[int]:
@@ -173,7 +187,7 @@ class Pool:
             if pose in poses:
                 continue
             if entry not in self._known:
-                if checks >= most_checks or (checks and time.monotonic() > deadline):
+                if checks >= most_checks or (checks >= LEAST_CHECKS and time.monotonic() > deadline):
                     continue
                 before = self.report.robot_checks
                 self._known[entry] = self._reaching(entry)
@@ -186,12 +200,12 @@ class Pool:
     def _reaching(self, entry: int) -> int:
         """Return a robot grasp with which the robot can be at an entry, -1: none of those tried."""
         pose, kind = divmod(entry, len(self._masks))
-        rows = np.flatnonzero((self._kind == kind) & self._fronts[pose])
-        if self._reachable is None:
+        rows = np.flatnonzero((self._kind == kind) & self._ways[pose])
+        if self._robot is None:
             return int(rows[0])
         for row in rows[:: max(1, len(rows) // self._attempts)][: self._attempts]:
             self.report.robot_checks += 1
-            if self._reachable(self._poses[pose], int(row)):
+            if self._robot.reachable(self._poses[pose], int(row)):
                 return int(row)
         self.report.refused["out of the robot's reach or in collision"] += 1
         return -1
@@ -210,16 +224,16 @@ class Pool:
 
 def search(
     problem: Problem,
-    reachable: Reachable | None = None,
+    robot: Robot | None = None,
     budget: float = np.inf,
     settings: SearchSettings | None = None,
-    wanted: int = 12,
+    wanted: int = 4,
 ) -> SearchReport:
     """Return the best candidates found online, at most ``wanted``.
 
     Args:
         problem: What is to be decided.
-        reachable: Tells whether the robot can be at a pose with a grasp; None: it always can.
+        robot: The arm that is to offer the object; None: it can be anywhere.
         budget: Wall time [s] after which the best so far is returned.
         settings: How to search.
         wanted: Number of candidates, in case the robot's way to the first is blocked.
@@ -228,7 +242,7 @@ def search(
     started = time.monotonic()
     deadline = started + budget
     report = SearchReport()
-    pool = Pool(problem, reachable, settings.attempts, report)
+    pool = Pool(problem, robot, settings.attempts, report)
     rng = np.random.default_rng(settings.seed)
     space, model = problem.space, problem.model
     pool.add(np.concatenate([suggested(problem), space.spread(model, settings.spread, settings.seed)]))
@@ -236,7 +250,7 @@ def search(
         if time.monotonic() > deadline:
             report.stopped = True
             break
-        elites = pool.best(settings.elites, deadline, 2 * settings.attempts * settings.elites)
+        elites = pool.best(settings.elites, deadline, settings.checks)
         if elites:
             centres = np.stack([pool.point(entry) for entry in elites])
             scatter = np.array([length, length, length, angle, angle, angle])
@@ -245,27 +259,27 @@ def search(
         else:
             children = space.spread(model, 2 * settings.spread, settings.seed + 1 + number)
         pool.add(children)
-    entries = pool.best(wanted, deadline, 4 * settings.attempts * wanted)
+    entries = pool.best(wanted, deadline, 4 * settings.checks)
     report.candidates = [pool.candidate(entry) for entry in entries]
     report.seconds = time.monotonic() - started
     return report
 
 
 def exhaustive(
-    problem: Problem, reachable: Reachable | None = None, spacing: float = 0.1, angle: float = 0.55, attempts: int = 3
+    problem: Problem, robot: Robot | None = None, spacing: float = 0.1, angle: float = 0.55, attempts: int = 3
 ) -> SearchReport:
     """Return the best candidate of a regular grid of poses, found by looking at every one of them: the oracle.
 
     Args:
         problem: What is to be decided.
-        reachable: As for ``search``.
+        robot: As for ``search``.
         spacing: Between neighbouring positions [m].
         angle: Between neighbouring directions [rad].
         attempts: Robot grasps tried for one pose.
     """
     started = time.monotonic()
     report = SearchReport()
-    pool = Pool(problem, reachable, attempts, report)
+    pool = Pool(problem, robot, attempts, report)
     points = problem.space.grid(problem.model, spacing, angle)
     for start in range(0, len(points), CHUNK):
         pool.add(points[start : start + CHUNK])

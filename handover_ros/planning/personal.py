@@ -16,7 +16,7 @@ from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError, Sta
 from handover_ros.geometry import FloatArray, invert_transform, make_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.facing import object_corners
-from handover_ros.planning.offers import Offer, levelled
+from handover_ros.planning.offers import HandoverTask, Offer, levelled
 from handover_ros.planning.posture_words import posture_words
 from handover_ros.planning.taking_postures import (
     Hold,
@@ -113,7 +113,7 @@ class PersonalScheme:
     content: PersonalFile
     needs_person: bool = True
 
-    def offers(self, model: ObjectModel, world_from_base: FloatArray, person: TrackedPerson | None) -> list[Offer]:
+    def offers(self, task: HandoverTask) -> list[Offer]:
         """Return the offers for this person.
 
         Raises:
@@ -122,6 +122,7 @@ class PersonalScheme:
             BadModelError: The profile's skeleton cannot be used.
             InfeasibleError: The person cannot take the object in front of the body.
         """
+        model, person = task.model, task.person
         if person is None:
             raise StaleDataError(
                 f"scheme {self.name!r} needs the person, who is not tracked", ErrorCode.PERSON_NOT_TRACKED

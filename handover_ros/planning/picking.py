@@ -75,6 +75,7 @@ class Picking:
 
     Attributes:
         arm: The arm.
+        name: The object.
         grasps: Poses ``object_from_gripper``, as ``grasp_poses`` orders them.
         found: Number of reachable ones so far.
     """
@@ -84,13 +85,15 @@ class Picking:
         self.grasps = [pose for _, pose in self._grasps]
         self.found = 0
         self.arm = arm
-        self._planner, self._name = planner, name
+        self.name = name
+        self._planner = planner
         self._snapshot, self._reasons = snapshot, reasons
         self._world_from_object = planner.object_pose(snapshot, name)
         self._standing = planner.standing(snapshot)
         self._touching = planner.checker(arm, snapshot, touched=name)
         self._clear = planner.checker(arm, snapshot)
         self._known: dict[int, Pick | None] = {}
+        self._plausible: dict[int, bool] = {}
 
     def __getitem__(self, index: int) -> Pick | None:
         """Return the pick of a grasp, or None when it cannot be reached; refusals go to the reasons."""
@@ -103,13 +106,30 @@ class Picking:
         """Return whether a grasp is already known to be out of reach."""
         return index in self._known and self._known[index] is None
 
+    @property
+    def refusals(self) -> int:
+        """How many grasps are known to be out of reach."""
+        return sum(pick is None for pick in self._known.values())
+
+    def plausible(self, index: int) -> bool:
+        """Return whether a quick look finds the gripper in reach at a grasp and before it; the way is not looked at."""
+        if index not in self._plausible:
+            world_from_gripper = self._world_from_object @ self.grasps[index]
+            before = world_from_gripper.copy()
+            before[:3, 3] -= self._planner.settings.pregrasp_distance * world_from_gripper[:3, 2]
+            reach = self._planner.reaches[self.arm]
+            self._plausible[index] = all(
+                reach.quick_check(pose, None, self._standing, self._reasons) for pose in (world_from_gripper, before)
+            )
+        return self._plausible[index]
+
     def _make(self, grasp: RobotGrasp, object_from_gripper: FloatArray) -> Pick | None:
         planner, arm, standing, reasons = self._planner, self.arm, self._standing, self._reasons
         reach = planner.reaches[arm]
         at_grasp, before = reach.validity(self._touching, standing), reach.validity(self._clear, standing)
         world_from_gripper = self._world_from_object @ object_from_gripper
         back = -planner.settings.pregrasp_distance * world_from_gripper[:3, 2]
-        held = planner.held_object(arm, self._name, invert_transform(object_from_gripper))
+        held = planner.held_object(arm, self.name, invert_transform(object_from_gripper))
         carrying = None
         for posture in reach.solutions(world_from_gripper, self._touching, standing, reasons)[:POSTURES_PER_POSE]:
             away = planner.line(arm, posture, back, at_grasp)
@@ -130,12 +150,17 @@ class Holding:
 
     Attributes:
         arm: The arm.
+        name: The object.
         grasps: The one pose ``object_from_gripper``.
         found: 1.
+        refusals: 0.
     """
+
+    refusals = 0
 
     def __init__(self, pick: Pick) -> None:
         self.arm = pick.arm
+        self.name = pick.held.name
         self.grasps = [pick.object_from_gripper]
         self.found = 1
         self._pick = pick
@@ -147,6 +172,10 @@ class Holding:
     def refused(self, index: int) -> bool:
         """Return False: the object is in the gripper."""
         return False
+
+    def plausible(self, index: int) -> bool:
+        """Return True: the object is in the gripper."""
+        return True
 
 
 def held_pick(planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot) -> Pick | None:

@@ -12,10 +12,10 @@ from pydantic import BaseModel, Field
 from handover_ros.errors import ErrorCode, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
+from handover_ros.planning.expected_cost import OBJECTIVES, ExpectedCostFile, ExpectedCostScheme
 from handover_ros.planning.facing import facings, turned_object
-from handover_ros.planning.offers import Offer, Scheme, levelled
+from handover_ros.planning.offers import HandoverTask, Offer, Scheme, levelled
 from handover_ros.planning.personal import PersonalFile, PersonalScheme
-from handover_ros.planning.types import TrackedPerson
 from handover_ros.resources import config_file, config_names
 from handover_ros.yaml_file import Schema, Vector3, read_yaml
 
@@ -54,7 +54,7 @@ class _RelativeFile(Schema):
 class _Kind(BaseModel):
     """Tells the kinds apart; the rest is checked by the kind's own schema."""
 
-    kind: Literal["constant", "relative", "personal"]
+    kind: Literal["constant", "relative", "personal", "expected_cost", "minimum_mean", "maximum_feasibility"]
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,10 @@ class ConstantScheme:
     variations: Variations
     needs_person: bool = False
 
-    def offers(self, model: ObjectModel, world_from_base: FloatArray, person: TrackedPerson | None) -> list[Offer]:
+    def offers(self, task: HandoverTask) -> list[Offer]:
         """Return the offers; the person is taken to stand opposite the robot, reaching towards it."""
-        return _offers(model, world_from_base, -world_from_base[:3, 0], self.position, self.variations)
+        base = task.world_from_base
+        return _offers(task.model, base, -base[:3, 0], self.position, self.variations)
 
 
 @dataclass(frozen=True)
@@ -94,18 +95,19 @@ class RelativeScheme:
     variations: Variations
     needs_person: bool = True
 
-    def offers(self, model: ObjectModel, world_from_base: FloatArray, person: TrackedPerson | None) -> list[Offer]:
+    def offers(self, task: HandoverTask) -> list[Offer]:
         """Return the offers in front of the torso.
 
         Raises:
             StaleDataError: The torso pose is not known.
         """
+        person = task.person
         if person is None:
             raise StaleDataError(
                 f"scheme {self.name!r} needs the person's torso, which is not tracked", ErrorCode.PERSON_NOT_TRACKED
             )
         frame = levelled(person.world_from_torso) if self.level else person.world_from_torso
-        return _offers(model, frame, frame[:3, 0], self.position, self.variations)
+        return _offers(task.model, frame, frame[:3, 0], self.position, self.variations)
 
 
 def load_scheme(name: str) -> Scheme:
@@ -122,6 +124,8 @@ def load_scheme(name: str) -> Scheme:
         return ConstantScheme(path.stem, content.xyz, content.variations)
     if kind == "personal":
         return PersonalScheme(path.stem, read_yaml(path, PersonalFile))
+    if kind in OBJECTIVES:
+        return ExpectedCostScheme(path.stem, read_yaml(path, ExpectedCostFile))
     related = read_yaml(path, _RelativeFile)
     return RelativeScheme(path.stem, related.xyz, related.level, related.variations)
 

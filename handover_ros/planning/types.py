@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import BadRequestError, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.robot.trajectory import Trajectory
@@ -29,6 +30,7 @@ class HandoverRequest:
         arm: Arm of the robot; empty: the planner chooses.
         time_budget: Wall time for the search [s]; 0: the planner's default.
         world_from_goal: Object pose to which the person shall bring it, or None. Shape (4, 4).
+        person_model: How the person chooses: MN, MP, GN or GP; empty: the scheme's default.
     """
 
     object_name: str
@@ -36,6 +38,7 @@ class HandoverRequest:
     arm: str = ""
     time_budget: float = 0.0
     world_from_goal: FloatArray | None = None
+    person_model: str = ""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -57,6 +60,7 @@ class TrackedPerson:
         body_mass: [kg]; None: not known.
         profile: Name of the person's profile; empty: none is active.
         profile_problem: Why the active profile cannot be used; empty: it can, or none is active.
+        preference: What the person finds comfortable; None: not known.
     """
 
     world_from_torso: FloatArray
@@ -66,6 +70,7 @@ class TrackedPerson:
     body_mass: float | None = None
     profile: str = ""
     profile_problem: str = ""
+    preference: Preference | None = None
 
     def __post_init__(self) -> None:
         """Check pose, hand and shapes."""
@@ -101,6 +106,64 @@ class ExpectedPosture:
     cost: float
     cost_name: str
     words: str
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedGrasp:
+    """One grasp that the person may choose.
+
+    Attributes:
+        region: Name of the grasp region, or of both, joined by ``and``.
+        probability: P(g).
+        hands: ``world_from_hand`` (4, 4) of each hand, by side.
+        limbs: Shoulder, elbow, wrist and grip [m] (4, 3) of each arm in its best posture, in the world, by side.
+        hand_cost: Expected cost at the handover, given this grasp.
+        goal_cost: The same at the goal; NaN: there is no goal, or the object cannot be placed with this grasp.
+        goal_limbs: As ``limbs``, at the goal; empty: there is none.
+    """
+
+    region: str
+    probability: float
+    hands: Mapping[str, FloatArray]
+    limbs: Mapping[str, FloatArray]
+    hand_cost: float
+    goal_cost: float
+    goal_limbs: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedChoice:
+    """How the person is expected to take the object.
+
+    Attributes:
+        person_model: Name of the choice model.
+        cost_name: The cost of a posture, as in ``ergonomics.arm_costs.ARM_COSTS``.
+        expected_cost: (3.6), or with a goal (3.7).
+        grasps: The grasps that are left and feasible, the most probable first.
+        blocked: How many grasps the robot's gripper blocks.
+        infeasible: How many others no posture of the person reaches.
+        goal_infeasible: Probability of a grasp with which the object cannot be placed (OM5 of section 3.6).
+    """
+
+    person_model: str
+    cost_name: str
+    expected_cost: float
+    grasps: tuple[PredictedGrasp, ...]
+    blocked: int
+    infeasible: int
+    goal_infeasible: float
+
+    @property
+    def hand_cost(self) -> float:
+        """Expected cost at the handover."""
+        return float(sum(grasp.probability * grasp.hand_cost for grasp in self.grasps))
+
+    @property
+    def goal_cost(self) -> float:
+        """Expected cost at the goal; NaN without a goal."""
+        if all(np.isnan(grasp.goal_cost) for grasp in self.grasps):
+            return float("nan")
+        return self.expected_cost - self.hand_cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +230,7 @@ class HandoverPlan:
         candidates: Handover poses looked at.
         explanation: Sentences for a person.
         expected: The posture the person is expected to take; None: the scheme knows nothing of it.
+        predicted: How the person is expected to choose; None: the scheme knows nothing of it.
     """
 
     object_name: str
@@ -185,6 +249,7 @@ class HandoverPlan:
     candidates: int
     explanation: str
     expected: ExpectedPosture | None = None
+    predicted: PredictedChoice | None = None
 
     def stage(self, name: str) -> PlannedStage:
         """Return the stage of a name; KeyError when there is none."""

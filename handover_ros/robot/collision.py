@@ -96,6 +96,8 @@ class CollisionChecker:
         self._margins = [geometry.margin] * len(self._solids.collisionPairs)
         self._labels = [""] * len(self._solids.collisionPairs)
         self._held_scene_pairs: list[int] = []
+        self._held_places: list[int] = []
+        self._joint_from_gripper = np.eye(4)
         self._add_surroundings()
         self._results = pin.GeometryData(self._solids)
         for request, margin in zip(self._results.collisionRequests, self._margins, strict=True):
@@ -111,6 +113,16 @@ class CollisionChecker:
         """Return whether nothing is nearer than its margin at a whole configuration (nq,)."""
         self.checks += 1
         return not pin.computeCollisions(self._model, self._data, self._solids, self._results, configuration, True)
+
+    def hold(self, solids: Sequence[Solid]) -> None:
+        """Hold the object in another way from now on; quicker than a new checker.
+
+        Args:
+            solids: The same object's solids, in the gripper frame.
+        """
+        for place, solid in zip(self._held_places, solids, strict=True):
+            placement = pin.SE3(self._joint_from_gripper @ solid.parent_from_solid)
+            self._solids.geometryObjects[place].placement = placement
 
     def problems(self, configuration: FloatArray) -> list[tuple[Reason, str]]:
         """Return all pairs nearer than their margin at a configuration (nq,): reason and a few words each."""
@@ -215,13 +227,14 @@ class CollisionChecker:
     def _add_held(self, held: HeldObject, fixed: list[tuple[list[int], Reason, float, float, str]]) -> None:
         robot = self._geometry.robot
         frame = self._model.frames[self._model.getFrameId(robot.arm(held.arm).tip_frame)]
-        joint_from_gripper = np.array(frame.placement.homogeneous)
+        joint_from_gripper = self._joint_from_gripper = np.array(frame.placement.homogeneous)
         hand = self._geometry.hand(held.arm)
         robot_solids = len(self._geometry.base.geometryObjects)
         for i, solid in enumerate(held.solids):
             place = self._solids.addGeometryObject(
                 solid.geometry_object(f"held/{i}", frame.parentJoint, joint_from_gripper @ solid.parent_from_solid)
             )
+            self._held_places.append(place)
             for link in range(robot_solids):
                 if link not in hand:
                     self._pair(link, place, Reason.SELF, self._geometry.margin, f"{held.name} and the robot")

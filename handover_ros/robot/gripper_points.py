@@ -40,11 +40,14 @@ def _lattice(shape: coal.CollisionGeometry) -> FloatArray:
     if isinstance(shape, coal.Box):
         return _grid(np.array(shape.halfSide))
     if isinstance(shape, coal.Cylinder | coal.Capsule):
-        points = _grid(np.array([shape.radius, shape.radius, shape.halfLength]))
-        radius = np.linalg.norm(points[:, :2], axis=1)
+        caps = shape.radius if isinstance(shape, coal.Capsule) else 0.0
+        points = _grid(np.array([shape.radius, shape.radius, shape.halfLength + caps]))
+        core = np.zeros_like(points)
+        core[:, 2] = np.clip(points[:, 2], -shape.halfLength, shape.halfLength)
+        offsets = points - core
         # The corners of the grid are drawn in to the round side.
-        points[:, :2] *= np.minimum(1.0, shape.radius / np.maximum(radius, 1e-9))[:, None]
-        return points
+        distance = np.linalg.norm(offsets, axis=1)
+        return core + offsets * np.minimum(1.0, shape.radius / np.maximum(distance, 1e-9))[:, None]
     if isinstance(shape, coal.Sphere):
         points = _grid(np.full(3, shape.radius))
         return points * np.minimum(1.0, shape.radius / np.maximum(np.linalg.norm(points, axis=1), 1e-9))[:, None]

@@ -42,7 +42,10 @@ class InverseKinematics:
         rng = np.random.default_rng(seed)
         self._library = rng.uniform(self._lower, self._upper, size=(LIBRARY_SIZE, len(self._lower)))
         self._library_poses = kernels.forward_many(*self._chain, self._library)
+        self._library_places = np.ascontiguousarray(self._library_poses[:, :3, 3])
+        self._library_turns = np.ascontiguousarray(self._library_poses[:, :3, :3].reshape(-1, 9))
         # The last joint but one lies on the axis of the last, so it stands still in the gripper frame: the wrist.
+        self._home = np.ascontiguousarray(self.arm.home[None])
         self._shoulder = points[0]
         self._wrist = (np.linalg.inv(tip) @ np.append(points[-2], 1.0))[:3]
         distances = self._wrist_distances(self._library_poses)
@@ -72,6 +75,24 @@ class InverseKinematics:
         )
         return solutions[np.argsort(self.posture_cost(solutions, posture), kind="stable")]
 
+    def quick(self, world_from_gripper: FloatArray) -> FloatArray:
+        """Return a solution, shape (1, n) [rad], or none, (0, n), from two starts only: for many poses in a row.
+
+        One or two poses in a hundred that ``solve`` reaches are taken to be out of reach.
+
+        Raises:
+            BadRequestError: The pose is not a finite rigid transform.
+        """
+        target = _checked_pose(world_from_gripper)
+        if not self.within_arm_length(target):
+            return np.empty((0, len(self._lower)))
+        settings = 1, SEPARATION, ITERATIONS, POSE_TOLERANCE
+        found = kernels.search(*self._chain, self._lower, self._upper, target, self._home, *settings)
+        if not len(found):
+            near = self._library[np.argmin(self._distances(target))][None]
+            found = kernels.search(*self._chain, self._lower, self._upper, target, near, *settings)
+        return np.asarray(found)
+
     def gripper_pose(self, displacements: FloatArray) -> FloatArray:
         """Return ``world_from_gripper`` (4, 4); the compiled twin of ``RobotModel.gripper_pose``."""
         return np.asarray(
@@ -80,8 +101,12 @@ class InverseKinematics:
 
     def within_arm_length(self, world_from_gripper: FloatArray) -> bool:
         """Return whether the wrist is no farther from the shoulder, and no nearer, than the arm can bring it."""
-        distance = float(self._wrist_distances(np.asarray(world_from_gripper)))
-        return bool(self._wrist_range[0] <= distance <= self._wrist_range[1])
+        return bool(self.all_within_arm_length(np.asarray(world_from_gripper)))
+
+    def all_within_arm_length(self, world_from_gripper: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return ``within_arm_length`` (...) of many gripper poses (..., 4, 4)."""
+        distances = self._wrist_distances(world_from_gripper)
+        return np.asarray((self._wrist_range[0] <= distances) & (distances <= self._wrist_range[1]))
 
     def _wrist_distances(self, poses: FloatArray) -> FloatArray:
         """Return the distance [m] of the wrist from the shoulder at gripper poses (..., 4, 4)."""
@@ -110,12 +135,16 @@ class InverseKinematics:
 
     def _nearest(self, target: FloatArray) -> npt.NDArray[np.int64]:
         """Return the places in the library of the gripper poses nearest to a target."""
-        offsets = self._library_poses[:, :3, 3] - target[:3, 3]
-        # |R1 - R2|^2 = 2 |angle|^2 for small angles.
-        turned = self._library_poses[:, :3, :3].reshape(-1, 9) @ target[:3, :3].ravel()
-        distance = np.einsum("ij,ij->i", offsets, offsets) + ROTATION_LENGTH**2 * (3.0 - turned)
+        distance = self._distances(target)
         nearest = np.argpartition(distance, NEAR_STARTS)[:NEAR_STARTS]
         return np.asarray(nearest[np.argsort(distance[nearest], kind="stable")])
+
+    def _distances(self, target: FloatArray) -> FloatArray:
+        """Return the squared distances [m2] of the library's gripper poses from a target, turns counted in."""
+        offsets = self._library_places - target[:3, 3]
+        # |R1 - R2|^2 = 2 |angle|^2 for small angles.
+        turned = self._library_turns @ target[:3, :3].ravel()
+        return np.asarray(np.einsum("ij,ij->i", offsets, offsets) + ROTATION_LENGTH**2 * (3.0 - turned))
 
 
 def _checked_pose(pose: FloatArray) -> FloatArray:

@@ -87,6 +87,44 @@ class Reach:
 
         return valid
 
+    def has_solution(self, world_from_gripper: FloatArray, reasons: Reasons) -> bool:
+        """Return whether the gripper can be at a pose at all, collisions aside; a refusal goes to ``reasons``."""
+        if len(self.inverse_kinematics.solve(world_from_gripper, wanted=1)):
+            return True
+        within = self.inverse_kinematics.within_arm_length(world_from_gripper)
+        reasons.add(Reason.JOINT_LIMITS if within else Reason.OUT_OF_REACH)
+        return False
+
+    def quick_check(
+        self,
+        world_from_gripper: FloatArray,
+        checker: CollisionChecker | None,
+        standing: FloatArray,
+        reasons: Reasons,
+    ) -> bool:
+        """Return whether the gripper can be at a pose free of collisions, as far as a quick look tells.
+
+        Args:
+            world_from_gripper: Shape (4, 4).
+            checker: Of the surroundings; None: collisions aside.
+            standing: Whole configuration (nq,) that holds everything but this arm.
+            reasons: Where a refusal goes.
+        """
+        found = self.inverse_kinematics.quick(world_from_gripper)
+        if not len(found):
+            within = self.inverse_kinematics.within_arm_length(world_from_gripper)
+            reasons.add(Reason.JOINT_LIMITS if within else Reason.OUT_OF_REACH)
+            return False
+        if checker is None:
+            return True
+        whole = np.array(standing)
+        for displacements in found:
+            whole[self._indices] = displacements
+            if checker.is_free(whole):
+                return True
+        reasons.add(*(checker.why(whole) or (Reason.SELF, "")))
+        return False
+
     def solutions(
         self,
         world_from_gripper: FloatArray,

@@ -18,7 +18,7 @@ from handover_ros.geometry import invert_transform, rotation_angle, transform_fr
 from handover_ros.objects import load_catalogue, load_scene
 from handover_ros.planning import PersonalScheme, TrackedPerson, load_scheme
 from handover_ros.planning.facing import object_corners
-from handover_ros.planning.offers import levelled
+from handover_ros.planning.offers import HandoverTask, levelled
 from handover_ros.planning.personal import object_grasps
 from handover_ros.planning.posture_words import posture_words
 from handover_ros.planning.taking_postures import PostureSearch, body_distance
@@ -58,7 +58,7 @@ def with_content(**fields):
 
 
 def offers_for(name, thing, torso=TORSO, scheme=PERSONAL, **fields):
-    return scheme.offers(CATALOGUE[thing], BASE, TrackedPerson(torso, PEOPLE[name], **fields))
+    return scheme.offers(HandoverTask(CATALOGUE[thing], BASE, TrackedPerson(torso, PEOPLE[name], **fields)))
 
 
 def seen_from_torso(offer, torso=TORSO):
@@ -182,7 +182,7 @@ def test_the_same_person_gets_the_same_offers():
     again = replace(PEOPLE["restricted"])
     for thing in ("mug", "box"):
         first = offers_for("restricted", thing)
-        second = PERSONAL.offers(CATALOGUE[thing], BASE, TrackedPerson(TORSO, again))
+        second = PERSONAL.offers(HandoverTask(CATALOGUE[thing], BASE, TrackedPerson(TORSO, again)))
         assert len(first) == len(second)
         for one, other in zip(first, second, strict=True):
             np.testing.assert_array_equal(one.world_from_object, other.world_from_object)
@@ -230,12 +230,12 @@ def test_stick_figure_has_the_limbs_lengths():
 
 def test_nobody_and_nobody_calibrated_say_what_to_do():
     with pytest.raises(StaleDataError, match="not tracked") as caught:
-        PERSONAL.offers(CATALOGUE["mug"], BASE, None)
+        PERSONAL.offers(HandoverTask(CATALOGUE["mug"], BASE, None))
     assert caught.value.code is ErrorCode.PERSON_NOT_TRACKED
     with pytest.raises(BadRequestError, match=r"no profile is active: calibrate .* or choose scheme relative"):
-        PERSONAL.offers(CATALOGUE["mug"], BASE, TrackedPerson(TORSO))
+        PERSONAL.offers(HandoverTask(CATALOGUE["mug"], BASE, TrackedPerson(TORSO)))
     with pytest.raises(BadRequestError, match="cut short"):
-        PERSONAL.offers(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, profile_problem="it is cut short"))
+        PERSONAL.offers(HandoverTask(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, profile_problem="it is cut short")))
 
 
 def test_skeletons_that_cannot_be_used_are_named():
@@ -249,11 +249,11 @@ def test_skeletons_that_cannot_be_used_are_named():
         (unknown, "right_elbow_flexion"),
     ):
         with pytest.raises(BadModelError, match=words):
-            PERSONAL.offers(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, skeleton))
+            PERSONAL.offers(HandoverTask(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, skeleton)))
     one_handed = replace(adult, hands=adult.hands[:1])
-    assert PERSONAL.offers(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, one_handed))
+    assert PERSONAL.offers(HandoverTask(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, one_handed)))
     with pytest.raises(InfeasibleError, match="two hands") as caught:
-        PERSONAL.offers(CATALOGUE["box"], BASE, TrackedPerson(TORSO, one_handed))
+        PERSONAL.offers(HandoverTask(CATALOGUE["box"], BASE, TrackedPerson(TORSO, one_handed)))
     assert caught.value.code is ErrorCode.NOT_FEASIBLE_FOR_PERSON
 
 
@@ -261,7 +261,7 @@ def test_a_person_who_cannot_raise_the_hands_is_told():
     adult = PEOPLE["adult"]
     hanging = adult.with_limits(np.zeros(14), np.full(14, 0.05))
     with pytest.raises(InfeasibleError, match="calibrate again") as caught:
-        PERSONAL.offers(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, hanging))
+        PERSONAL.offers(HandoverTask(CATALOGUE["mug"], BASE, TrackedPerson(TORSO, hanging)))
     assert caught.value.code is ErrorCode.NOT_FEASIBLE_FOR_PERSON
 
 
@@ -325,7 +325,7 @@ def torso_turns(name, scheme, things):
         person = TrackedPerson(torso, PEOPLE[name], dominant=spec.dominant)
         for thing in things:
             model = CATALOGUE[thing]
-            offer = scheme.offers(model, BASE, person)[0]
+            offer = scheme.offers(HandoverTask(model, BASE, person))[0]
             sides = ("right", "left") if model.hands == 2 else (spec.dominant,)
             taken = body.take(model, invert_transform(torso) @ offer.world_from_object, sides)
             assert taken.reached

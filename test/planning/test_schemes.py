@@ -10,7 +10,7 @@ from handover_ros.geometry import invert_transform, rotation_angle, transform_fr
 from handover_ros.objects import load_object
 from handover_ros.planning import TrackedPerson, load_scheme, load_schemes
 from handover_ros.planning.facing import object_centre
-from handover_ros.planning.offers import levelled
+from handover_ros.planning.offers import HandoverTask, levelled
 
 MUG, BOX = load_object("mug"), load_object("box")
 BASE = transform_from_xyz_rpy([0.0, 0.0, 0.93])
@@ -30,7 +30,10 @@ TORSOS = st.builds(
 @settings(deadline=None, max_examples=40)
 def test_constant_ignores_the_person(torso):
     """The same offers whether nobody or anybody stands anywhere."""
-    alone, watched = CONSTANT.offers(MUG, BASE, None), CONSTANT.offers(MUG, BASE, TrackedPerson(torso))
+    alone, watched = (
+        CONSTANT.offers(HandoverTask(MUG, BASE, None)),
+        CONSTANT.offers(HandoverTask(MUG, BASE, TrackedPerson(torso))),
+    )
     for a, b in zip(alone, watched, strict=True):
         np.testing.assert_array_equal(a.world_from_object, b.world_from_object)
 
@@ -39,7 +42,7 @@ def test_constant_ignores_the_person(torso):
 @settings(deadline=None, max_examples=40)
 def test_relative_is_constant_in_the_levelled_torso_frame(first, second):
     """Seen from the person's heading, the offers are the same wherever the person stands."""
-    one, other = (RELATIVE.offers(MUG, BASE, TrackedPerson(torso)) for torso in (first, second))
+    one, other = (RELATIVE.offers(HandoverTask(MUG, BASE, TrackedPerson(torso))) for torso in (first, second))
     for a, b in zip(one[:10], other[:10], strict=True):
         seen_a = invert_transform(levelled(first)) @ a.world_from_object
         seen_b = invert_transform(levelled(second)) @ b.world_from_object
@@ -50,7 +53,7 @@ def test_relative_is_constant_in_the_levelled_torso_frame(first, second):
 @settings(deadline=None, max_examples=40)
 def test_nominal_offer_comes_first_and_is_upright(torso):
     """The first offer has the object's centre where the file says, the object upright, and the handle to the person."""
-    offer = RELATIVE.offers(MUG, BASE, TrackedPerson(torso))[0]
+    offer = RELATIVE.offers(HandoverTask(MUG, BASE, TrackedPerson(torso)))[0]
     centre = offer.world_from_object[:3, :3] @ object_centre(MUG) + offer.world_from_object[:3, 3]
     seen = invert_transform(levelled(torso)) @ np.append(centre, 1.0)
     np.testing.assert_allclose(seen[:3], RELATIVE.position, atol=1e-9)
@@ -63,9 +66,14 @@ def test_nominal_offer_comes_first_and_is_upright(torso):
 @settings(deadline=None, max_examples=40)
 def test_only_what_may_lean_leans(torso):
     """Open containers stay upright in every offer; others also come leaning away from the person."""
-    assert all(offer.world_from_object[2, 2] > 1 - 1e-9 for offer in RELATIVE.offers(MUG, BASE, TrackedPerson(torso)))
+    assert all(
+        offer.world_from_object[2, 2] > 1 - 1e-9
+        for offer in RELATIVE.offers(HandoverTask(MUG, BASE, TrackedPerson(torso)))
+    )
     leaning = [
-        offer for offer in RELATIVE.offers(BOX, BASE, TrackedPerson(torso)) if offer.world_from_object[2, 2] < 0.99
+        offer
+        for offer in RELATIVE.offers(HandoverTask(BOX, BASE, TrackedPerson(torso)))
+        if offer.world_from_object[2, 2] < 0.99
     ]
     assert leaning
     assert all(offer.world_from_object[:3, 2] @ offer.reach > 0 for offer in leaning)
@@ -91,7 +99,7 @@ def test_a_person_bent_over_still_has_a_heading():
 
 def test_relative_needs_the_person():
     with pytest.raises(StaleDataError, match="not tracked") as caught:
-        RELATIVE.offers(MUG, BASE, None)
+        RELATIVE.offers(HandoverTask(MUG, BASE, None))
     assert caught.value.code is ErrorCode.PERSON_NOT_TRACKED
     assert RELATIVE.needs_person
     assert not CONSTANT.needs_person

@@ -1,0 +1,140 @@
+"""Where a person's torso is while they put an object down: the arm alone does not reach a table from everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from handover_ros.geometry import FloatArray, invert_transform, transform_points
+from handover_ros.objects.catalogue import ObjectModel
+from handover_ros.planning.choice import LEAST, LOG_WEIGHT, MEAN, MEASURE, PLAIN_MEAN
+from handover_ros.planning.facing import object_centre
+from handover_ros.planning.feasible import Taker, statistics
+from handover_ros.planning.grasp_set import GraspSet
+from handover_ros.planning.obstacles import obstacles_of
+
+AHEAD = (0.25, 0.32, 0.40, 0.50)  # [m] from the shoulders to the goal, horizontally
+SIDEWAYS = (-0.6, -0.2, 0.2, 0.6)  # [rad] of the goal from straight ahead
+STOOP = (0.0, 0.10, 0.20)  # [m] the shoulders come down
+STEP_COST, TURN_COST, STOOP_COST = 0.3, 0.1, 5.0  # [1/m], [1/rad], [1/m] against the cost of the arm's posture
+TRIED = 4  # stances of a grasp at which what stands around is looked at
+
+Box = tuple[FloatArray, FloatArray]  # lengths (3,) [m], world_from_box (4, 4)
+
+
+def stances(world_from_torso: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return torso frames (n, 4, 4) of a person who stays or turns, steps and stoops, and what that costs (n,).
+
+    Args:
+        world_from_torso: Level, where the person stands. Shape (4, 4).
+        place: Where to, in the torso frame [m] (3,).
+    """
+    bearing, distance = float(np.arctan2(place[1], place[0])), float(np.hypot(place[0], place[1]))
+    direction = np.array([np.cos(bearing), np.sin(bearing)])
+    frames, costs = [np.eye(4)], [0.0]
+    for ahead, sideways, stoop in product(AHEAD, SIDEWAYS, STOOP):
+        turn, step = bearing - sideways, max(0.0, distance - ahead)
+        frame = np.eye(4)
+        frame[:3, :3] = Rotation.from_euler("z", turn).as_matrix()
+        frame[:2, 3] = step * direction
+        frame[2, 3] = -stoop
+        frames.append(frame)
+        costs.append(STEP_COST * step + TURN_COST * abs(turn) + STOOP_COST * stoop)
+    return world_from_torso @ np.stack(frames), np.array(costs)
+
+
+@dataclass(frozen=True, eq=False)
+class Placing:
+    """How an object is placed at a goal with each grasp.
+
+    Attributes:
+        table: Statistics of the feasible sets (grasps, 5); what legs and back do is added to the costs.
+        world_from_torso: Where the torso is with each grasp. Shape (grasps, 4, 4).
+    """
+
+    table: FloatArray
+    world_from_torso: FloatArray
+
+
+def placing_from(
+    world_from_torso: FloatArray,
+    world_from_goal: FloatArray,
+    taker: Taker,
+    grasps: GraspSet,
+    boxes: Sequence[Box],
+    rationality: float,
+) -> Placing:
+    """Return how an object is placed by a person who stays where they are.
+
+    Args:
+        world_from_torso: Level. Shape (4, 4).
+        world_from_goal: The object's pose at the goal. Shape (4, 4).
+        taker: The person.
+        grasps: On the object.
+        boxes: Of the scene: lengths [m] and world_from_box.
+        rationality: Of the choice of the posture there.
+    """
+    goal, obstacles = invert_transform(world_from_torso) @ world_from_goal, obstacles_of(boxes, world_from_torso)
+    table = statistics(taker, grasps, goal, rationality, obstacles)[0]
+    return Placing(table, np.tile(world_from_torso, (len(grasps), 1, 1)))
+
+
+def placing_after_moving(
+    world_from_torso: FloatArray,
+    world_from_goal: FloatArray,
+    taker: Taker,
+    grasps: GraspSet,
+    model: ObjectModel,
+    boxes: Sequence[Box],
+    rationality: float,
+) -> Placing:
+    """Return how an object is placed by a person who turns, steps and stoops as each grasp asks for.
+
+    Args:
+        world_from_torso: Level, where the person takes the object. Shape (4, 4).
+        world_from_goal: The object's pose at the goal. Shape (4, 4).
+        taker: The person.
+        grasps: On the object.
+        model: The object.
+        boxes: Of the scene: lengths [m] and world_from_box.
+        rationality: Of the choice of the posture there.
+    """
+    place = transform_points(invert_transform(world_from_torso) @ world_from_goal, object_centre(model))
+    torsos, effort = stances(world_from_torso, place)
+    goals = invert_transform(torsos) @ world_from_goal
+    free = statistics(taker, grasps, goals, rationality)
+    total = free[..., LEAST] + effort[:, None]
+    order = np.argsort(total, axis=0, kind="stable")[:TRIED]
+    chosen, pending = order[0].copy(), np.isfinite(total[order[0], np.arange(len(grasps))])
+    table = np.where(pending[:, None], 0.0, free[0])
+    table[~pending] = NOT_FEASIBLE
+    for row in order:
+        for stance in np.unique(row[pending]):
+            asked = pending & (row == stance)
+            obstacles = obstacles_of(boxes, torsos[stance])
+            found = statistics(taker, grasps.subset(asked), goals[stance], rationality, obstacles)[0]
+            places = np.flatnonzero(asked)[found[:, MEASURE] > 0.0]
+            table[places] = _with_effort(found[found[:, MEASURE] > 0.0], float(effort[stance]), rationality)
+            chosen[places] = stance
+            pending[places] = False
+        if not pending.any():
+            break
+    table[pending] = NOT_FEASIBLE
+    return Placing(table, torsos[chosen])
+
+
+# A grasp with which the object cannot be placed.
+NOT_FEASIBLE = np.array([0.0, -np.inf, np.inf, np.inf, np.inf])
+
+
+def _with_effort(table: FloatArray, effort: float, rationality: float) -> FloatArray:
+    """Return statistics with a cost added to every configuration."""
+    result = table.copy()
+    result[:, [MEAN, PLAIN_MEAN, LEAST]] += effort
+    if np.isfinite(rationality):
+        result[:, LOG_WEIGHT] -= rationality * effort
+    return result
