@@ -26,7 +26,7 @@ IntArray = npt.NDArray[np.int64]
 SUMS = 18  # rows of ``prepare``
 BRANCHES = 8
 MOST_ROOTS = 24  # six angles, two limits each, two roots each
-MOST_ARCS = 96  # 8 branches, at most 12 stretches of 24 each
+MOST_ARCS = 216  # 8 branches of 24 stretches, and points
 LIMIT_TOLERANCE = 1e-9  # [rad] by which a displacement may pass its limit: rounding
 TANGENT = 1e-12  # by which a sum may miss zero where it only touches it
 ROUNDING = 1e-14  # of a sum along a stretch: some are constant there, at the very limit
@@ -269,9 +269,8 @@ def _all_roots(sums: FloatArray, gates: FloatArray, limits: FloatArray, roots: F
     count = 0
     for joint in (0, 2, 4, 6):
         row = 0 if joint == 0 else 3 if joint == 2 else 5 if joint == 4 else 8
-        if gates[joint, 4] == 0.0:
-            continue
-        for end in range(2):  # atan2(y, x) = L or L + pi: y cos(L) - x sin(L) = 0
+        # Both limits of a full turn are one place, at which the displacement jumps.
+        for end in range(1 if gates[joint, 4] == 0.0 else 2):  # atan2(y, x) = L or L + pi: y cos(L) - x sin(L) = 0
             cosine, sine = gates[joint, 2 * end], gates[joint, 2 * end + 1]
             p = sums[row, 0] * cosine - sums[row + 1, 0] * sine
             q = sums[row, 1] * cosine - sums[row + 1, 1] * sine
@@ -354,10 +353,10 @@ def _covered(branch: int, phi: float, found: FloatArray, count: int) -> bool:
 def arcs(
     sums: FloatArray, bend: float, limits: FloatArray, gates: FloatArray, work: FloatArray, found: FloatArray
 ) -> int:
-    """Fill ``found`` (96, 3) with branch, start and end [rad] of the feasible arcs; return how many there are.
+    """Fill ``found`` (216, 3) with branch, start and end [rad] of the feasible arcs; return how many there are.
 
     The arcs of a branch follow each other; then come single points, their end at their start. The whole circle is 2 pi
-    long.
+    long. A joint with limits a full turn apart jumps from one to the other; then no arcs are joined.
 
     Args:
         sums: Of ``prepare``.
@@ -389,10 +388,13 @@ def arcs(
             here = elbows & _feasible_branches(sums, gates, 0.5 * (roots[index] + end), ROUNDING)
             any_branch |= here
         stretches[index] = here
+    joined = True
+    for joint in (0, 1, 2, 4, 5, 6):
+        joined = joined and limits[1, joint] - limits[0, joint] < FULL_TURN
     count = 0
     for branch in range(BRANCHES):
         if (any_branch >> branch) & 1:
-            count = _merged(branch, number, roots, stretches, found, count)
+            count = _merged(branch, number, roots, stretches, joined, found, count)
     # Points where limits meet or are touched; when nothing else is feasible, any root within rounding of it.
     arcs_only = count
     for index in range(number):
@@ -411,8 +413,10 @@ def arcs(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _merged(branch: int, number: int, roots: FloatArray, stretches: FloatArray, found: FloatArray, count: int) -> int:
-    """Append the arcs of one branch, neighbouring stretches joined, across the start of the circle too."""
+def _merged(
+    branch: int, number: int, roots: FloatArray, stretches: FloatArray, joined: bool, found: FloatArray, count: int
+) -> int:
+    """Append the arcs of one branch, neighbouring stretches joined if told so, across the start of the circle too."""
     before = count
     going_on = False
     for index in range(number):
@@ -423,14 +427,14 @@ def _merged(branch: int, number: int, roots: FloatArray, stretches: FloatArray, 
             going_on = False
             continue
         end = roots[index + 1] if index + 1 < number else roots[0] + FULL_TURN
-        if going_on:
+        if going_on and joined:
             found[count - 1, 2] = end
         else:
             found[count, 0], found[count, 1], found[count, 2] = branch, roots[index], end
             count += 1
         going_on = True
     closes = found[count - 1, 2] - found[before, 1] >= FULL_TURN - LEAST_ARC
-    if closes and count - before > 1:
+    if joined and closes and count - before > 1:
         found[before, 1] = found[count - 1, 1] - FULL_TURN
         count -= 1
     return count

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
 from handover_msgs.msg import HandoverPlan as HandoverPlanMessage
@@ -10,16 +12,17 @@ from std_msgs.msg import ColorRGBA, Header
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from handover_ros.geometry import FloatArray
+from handover_ros.geometry import FloatArray, pose_from_transform
 from handover_ros.nodes.convert import pose_message, trajectory_message
 from handover_ros.objects.catalogue import ObjectModel, Primitive
-from handover_ros.planning.types import HandoverPlan
+from handover_ros.planning.types import HandoverPlan, PredictedChoice
 from handover_ros.robot.trajectory import Trajectory
 
 WORLD = "world"
 AXIS_LENGTH, AXIS_WIDTH = 0.10, 0.008  # [m]
 AXIS_COLOURS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 0.95))
 OFFER_OPACITY = 0.7
+LIMBS_SHOWN = 8  # most probable grasps
 LIMB_WIDTH, LIMB_COLOUR = 0.03, (0.85, 0.65, 0.5)  # [m]
 
 
@@ -52,7 +55,7 @@ def plan_message(
         robot_grasp=plan.robot_grasp,
         object_from_gripper=pose_message(plan.object_from_gripper),
         handover_pose=pose_message(plan.world_from_object),
-        expected_cost=float("nan") if plan.expected is None else float(plan.expected.cost),
+        expected_cost=_cost(plan),
         planning_time=float(plan.planning_time),
         candidates=int(plan.candidates),
         explanation=plan.explanation,
@@ -69,7 +72,29 @@ def plan_message(
         )
         for stage in plan.stages
     ]
+    if plan.predicted is not None:
+        _fill_prediction(message, plan.predicted)
     return message
+
+
+def _cost(plan: HandoverPlan) -> float:
+    """Return the cost a plan expects; NaN when its scheme has none."""
+    if plan.predicted is not None:
+        return float(plan.predicted.expected_cost)
+    return float("nan") if plan.expected is None else float(plan.expected.cost)
+
+
+def _fill_prediction(message: HandoverPlanMessage, predicted: PredictedChoice) -> None:
+    """Fill in how the person is expected to choose; the pose is that of the hand that comes first."""
+    grasps = predicted.grasps
+    total = sum(grasp.probability for grasp in grasps)  # what is too improbable to tell was left out
+    message.person_model = message.person_model or predicted.person_model
+    message.grasp_regions = [grasp.region for grasp in grasps]
+    message.grasp_probabilities = array("d", [grasp.probability / total for grasp in grasps])
+    poses = [pose_from_transform(next(iter(grasp.hands.values()))) for grasp in grasps]
+    message.grasp_poses = array("d", [float(value) for pose in poses for value in pose])
+    message.grasp_handover_costs = array("d", [grasp.hand_cost for grasp in grasps])
+    message.grasp_goal_costs = array("d", [grasp.goal_cost for grasp in grasps])
 
 
 def plan_visual(
@@ -77,7 +102,8 @@ def plan_visual(
 ) -> MarkerArray:
     """Return the offer as rviz markers that replace those before.
 
-    They are the object, gripper, person's hand, torso, and the arms of the posture that is expected.
+    They are the object, gripper, person's hand, torso, the arms of the posture that is expected or of the likely
+    choices (here and at the goal), and the object at its goal.
     """
     markers = [Marker(action=Marker.DELETEALL)]
     markers += [_solid(part, plan.world_from_object, number) for number, part in enumerate(model.primitives)]
@@ -87,9 +113,28 @@ def plan_visual(
         markers += _axes("torso", world_from_torso)
     if plan.expected is not None:
         markers += [_limb(number, points) for number, points in enumerate(plan.expected.limbs.values())]
+    if plan.predicted is not None:
+        markers += _prediction(plan.predicted)
+        if plan.world_from_goal is not None:
+            goal = [_solid(part, plan.world_from_goal, number) for number, part in enumerate(model.primitives)]
+            for marker in goal:
+                marker.ns, marker.color.a = "goal", 0.5 * marker.color.a
+            markers += goal
     for marker in markers:
         marker.header = Header(frame_id=WORLD, stamp=stamp)
     return MarkerArray(markers=markers)
+
+
+def _prediction(predicted: PredictedChoice) -> list[Marker]:
+    """Return the arms of the likely grasps, the more probable the more opaque, and how they are at the goal."""
+    markers = []
+    for number, grasp in enumerate(predicted.grasps[:LIMBS_SHOWN]):
+        for space, limbs in (("predicted_posture", grasp.limbs), ("goal_posture", grasp.goal_limbs)):
+            for arm, points in enumerate(limbs.values()):
+                line = _limb(2 * number + arm, points)
+                line.ns, line.color.a = space, max(0.1, OFFER_OPACITY * grasp.probability)
+                markers.append(line)
+    return markers
 
 
 def _solid(part: Primitive, world_from_object: FloatArray, number: int) -> Marker:
