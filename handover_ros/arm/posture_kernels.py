@@ -19,8 +19,10 @@ MOST_POINTS = 256
 LEAST_MEASURE = 1e-6  # [rad] of a feasible set that is a single point
 GOLDEN = 0.3819660112501051
 REFINEMENTS = 40
-NEAR_ENOUGH = 1e-7  # [rad] of swivel; the cost is flat there
-INWARD = 1e-5  # [rad] of swivel at which the slope at the end of an arc shows
+# Parts of a piece between two points of an arc, which is the shorter the faster the joints turn.
+NEAR_ENOUGH = 5e-7  # the cost is flat there
+INWARD = 2e-5  # where the slope at the end of an arc shows
+LEAST_STEP = 1e-12  # [rad] of swivel
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -274,7 +276,8 @@ def best(
                 if values[place] > values[before] or values[place] > values[after]:
                     continue
                 start, phi, end = points[before, 7], points[place, 7], points[after, 7]
-                inward = start + INWARD if place == before else end - INWARD
+                inward = INWARD * (end - start)
+                inward = start + inward if place == before else end - inward
                 inside = before < place < after
                 if inside or _at(sums, bend, inward, branch, limits, neutral, weights, q) < values[place]:
                     phi = _descend(sums, bend, branch, limits, neutral, weights, start, phi, end, values[place], q)
@@ -307,12 +310,13 @@ def _descend(
     second, third = phi, phi
     second_value, third_value = value, value
     step, last = 0.0, 0.0
+    near = max(NEAR_ENOUGH * (high - low), LEAST_STEP)
     for _ in range(REFINEMENTS):
         middle = 0.5 * (low + high)
-        if abs(phi - middle) <= 2.0 * NEAR_ENOUGH - 0.5 * (high - low):
+        if abs(phi - middle) <= 2.0 * near - 0.5 * (high - low):
             break
         golden = True
-        if abs(last) > NEAR_ENOUGH:
+        if abs(last) > near:
             r = (phi - second) * (value - third_value)
             p = (phi - third) * (value - second_value)
             numerator = (phi - third) * p - (phi - second) * r
@@ -324,13 +328,13 @@ def _descend(
                 low - phi
             ) < numerator < denominator * (high - phi):
                 last, step = step, numerator / denominator
-                if phi + step - low < 2.0 * NEAR_ENOUGH or high - phi - step < 2.0 * NEAR_ENOUGH:
-                    step = NEAR_ENOUGH if middle > phi else -NEAR_ENOUGH
+                if phi + step - low < 2.0 * near or high - phi - step < 2.0 * near:
+                    step = near if middle > phi else -near
                 golden = False
         if golden:
             last = (low if phi >= middle else high) - phi
             step = GOLDEN * last
-        tried = phi + (step if abs(step) >= NEAR_ENOUGH else (NEAR_ENOUGH if step > 0.0 else -NEAR_ENOUGH))
+        tried = phi + (step if abs(step) >= near else (near if step > 0.0 else -near))
         tried_value = _at(sums, bend, tried, branch, limits, neutral, weights, q)
         if tried_value <= value:
             if tried >= phi:

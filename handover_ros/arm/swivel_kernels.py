@@ -36,7 +36,8 @@ STRAIGHT = (
 )
 PARALLEL = 1e-9  # [m] below which wrist and shoulder are one point
 VERTICAL = 1e-6  # length of a line's horizontal part below which it has no lowest side
-NO_DIRECTION = 1e-13  # cosine of a middle angle below which the outer two are not determined one by one
+NO_DIRECTION = 1e-11  # cosine of a middle angle below which the outer two are not determined one by one
+CONSTANT = 1e-13  # amplitude of a sum that does not change along the circle
 LEAST_ARC = 1e-13  # [rad] of swivel
 ONE_POINT = 1e-6  # [rad] of swivel between roots that may be one: where limits meet or are only touched
 FULL_TURN = 2.0 * np.pi
@@ -244,7 +245,7 @@ def make_gates(limits: FloatArray) -> FloatArray:
 def _roots(p: float, q: float, r: float, roots: FloatArray, count: int) -> int:
     """Insert the angles in [0, 2 pi) with p + q cos + r sin = 0 into the sorted ``roots``; return the count."""
     amplitude = np.sqrt(q * q + r * r)
-    if abs(p) > amplitude + TANGENT or amplitude < NO_DIRECTION:
+    if abs(p) > amplitude + TANGENT or amplitude < CONSTANT:
         return count
     centre = np.arctan2(r, q)
     half = np.arccos(min(max(-p / amplitude, -1.0), 1.0))
