@@ -11,14 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench import calibration, tracking
+from bench import calibration, inverse_kinematics, tracking
 from bench.bench_simulation import factor
 from bench.peers import peer
 from handover_ros.cell.report import write_json
 from handover_ros.errors import HandoverError
 from handover_ros.sim.options import SimulationOptions
 
-PARTS = ("tracking", "calibration", "simulation")
+PARTS = ("tracking", "calibration", "simulation", "ik")
 # What the design asks for: metric, relation, value.
 REACH = {
     "ukf_speed_over_biorbd": (">=", 1.0),
@@ -32,6 +32,10 @@ REACH = {
     **{f"calibration_{kind}_axis_max_deg": ("<=", 1.5) for kind in calibration.KINDS},
     **{f"calibration_{kind}_limit_max_deg": ("<=", 3.0) for kind in calibration.KINDS},
     "sim_realtime_factor": (">=", 5.0),
+    "ik_speed_over_eaik32": (">=", 20.0),
+    "ik_poses_missed": ("<=", 0.0),
+    "ik_cost_over_best_peer": ("<=", 1.0 + 1e-9),
+    "ik_fk_error": ("<=", 1e-9),
 }
 AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
 EXIT_BAD_INPUT = 2
@@ -58,7 +62,7 @@ def bench(
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for bench.json.")] = None,
 ) -> None:
-    """Measure tracking, calibration and simulation, with the peers in the same run."""
+    """Measure tracking, calibration, simulation and inverse kinematics, with the peers in the same run."""
     if part not in (*PARTS, "all"):
         raise typer.BadParameter(f"unknown part {part!r}; known: {', '.join(PARTS)}, all")
     console = Console()
@@ -72,6 +76,9 @@ def bench(
     if part in ("simulation", "all"):
         console.print("simulation ...")
         metrics["sim_realtime_factor"] = factor(5.0 if quick else 20.0, "calibrate", SimulationOptions())
+    if part in ("ik", "all"):
+        console.print("inverse kinematics of the arm ...")
+        metrics |= inverse_kinematics.measure(seed, quick, peer("eaik"), peer("ssik"))
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("metric", "value", "to reach", "reached"):
         table.add_column(heading, justify="right" if heading == "value" else "left")

@@ -13,6 +13,9 @@ from scipy.spatial.transform import Rotation
 from bench.__main__ import verdict
 from bench.arm import MOTIONS, RATE, error_deg, person, record
 from bench.biorbd_peer import model_text
+from bench.inverse_kinematics import costs_of, hand_poses, least_cost, offsets
+from bench.peers import PEERS
+from handover_ros.arm.model import AXES, load_arm
 from handover_ros.skeleton.kernels import forward
 
 SOURCE = Path(__file__).resolve().parent.parent
@@ -85,3 +88,39 @@ def test_an_unknown_part_is_refused_in_one_line():
     assert answer.stderr.count("\n") == 1
     assert "weather" in answer.stderr
     assert "tracking" in answer.stderr
+
+
+def test_the_peers_arm_is_ours():
+    """A product of exponentials of our axes with the offsets between them gives the hand's segment."""
+    arm = load_arm("adult")
+    q = np.random.default_rng(1).uniform(*arm.limits)
+    pose, between = np.eye(4), offsets(arm)
+    for offset, axis, angle in zip(between, AXES, q):
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = Rotation.from_rotvec(angle * axis).as_matrix(), offset
+        pose = pose @ step
+    pose[:3, 3] += pose[:3, :3] @ between[7]
+    np.testing.assert_allclose(pose, arm.segment_poses(arm.hand_pose(q))[0], atol=1e-12)
+
+
+def test_a_peers_postures_count_only_at_the_pose_and_within_the_limits():
+    arm = load_arm("adult")
+    q = 0.5 * (arm.limits[0] + arm.limits[1])
+    pose = arm.hand_pose(q)
+    turned = q + [2.0 * math.pi, 0.0, 0.0, 0.0, 0.0, 0.0, -2.0 * math.pi]
+    assert least_cost(arm, pose, turned[None]) == pytest.approx(costs_of(q))
+    assert math.isinf(least_cost(arm, pose, q[None] + 0.01))
+    assert math.isinf(least_cost(arm, arm.hand_pose(arm.limits[1] + 0.1), arm.limits[1:] + 0.1))
+
+
+def test_random_hand_poses_are_in_the_reach():
+    arm = load_arm("adult")
+    for poses in hand_poses(arm, 200, 3):
+        wrists = arm.segment_poses(poses)[:, :3, 3]
+        assert (np.linalg.norm(wrists - arm.right_shoulder, axis=1) <= arm.upper_arm + arm.forearm + 1e-12).all()
+
+
+def test_peers_are_pinned_as_in_the_extra():
+    text = (SOURCE / "setup.py").read_text(encoding="utf-8")
+    for wanted in PEERS.values():
+        assert all(f'"{requirement}"' in text and "==" in requirement for requirement in wanted.requirements)
