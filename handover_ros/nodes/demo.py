@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from geometry_msgs.msg import PoseStamped
 from handover_msgs.action import ExecuteHandover
 from handover_msgs.srv import ResetSimulation
 from rich.console import Console
 from rich.table import Table
+from std_msgs.msg import Header
 
 from handover_ros.cell.marker_files import AUTO, matching
 from handover_ros.cell.processes import NODES, CellProcesses, NodeLaunch
@@ -28,6 +30,8 @@ from handover_ros.cell.report import (
 )
 from handover_ros.errors import BadRequestError, HandoverError, UnknownNameError
 from handover_ros.mocap.recordings import read_recording
+from handover_ros.nodes.convert import pose_message
+from handover_ros.nodes.convert_plan import WORLD
 from handover_ros.nodes.demo_calibration import calibrate_person
 from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
 from handover_ros.objects.catalogue import load_object
@@ -211,6 +215,10 @@ def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, 
             pictures.append(operator.render())
 
     goal = ExecuteHandover.Goal(object_name=name, scheme=request.scheme)
+    place = load_scene(request.scene).goals.get(name)
+    if place is not None:
+        goal.has_goal = True
+        goal.goal = PoseStamped(header=Header(frame_id=WORLD), pose=pose_message(place))
     result = operator.hand_over(goal, on_phase, HANDOVER_LIMIT)
     if not result.success:
         console.print(f"  [red]{result.message}[/red]", highlight=False, soft_wrap=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray, invert_transform
 from handover_ros.objects.catalogue import ObjectModel
-from handover_ros.planning.choice import ChoiceModel, GoalCosts
+from handover_ros.planning.choice import MEAN, MEASURE, ChoiceModel, GoalCosts, grasp_probabilities
 from handover_ros.planning.feasible import Taker, statistics
 from handover_ros.planning.grasp_set import GraspSet
 from handover_ros.planning.objectives import Objective
@@ -38,6 +38,8 @@ class Robot(Protocol):
 
 
 FROM_PERSON = 0.5  # cosine between gripper and the person's reach above which the robot would come from their side
+GOOD_GRASPS = 8  # the best at the goal, by which a search for a goal starts,
+GOOD_SHARE = 0.5  # if they are in the better half of the range of costs there
 LEAST_CHECKS = 4  # the robot is asked even when the time has run out
 CHUNK = 2000  # poses looked at together in the exhaustive mode
 
@@ -96,6 +98,8 @@ class SearchSettings:
 
     Attributes:
         spread: Poses of the first, even spread.
+        screened: Poses from which these are chosen when there is a goal.
+        screened_again: The same when the best that was found is poor.
         elites: Best candidates around which the next poses lie.
         children: Poses around all of them in one round.
         lengths: Scatter of each round's positions [m].
@@ -106,8 +110,10 @@ class SearchSettings:
     """
 
     spread: int = 128
+    screened: int = 1024
+    screened_again: int = 16384
     elites: int = 5
-    children: int = 48
+    children: int = 60
     lengths: tuple[float, ...] = (0.10, 0.05, 0.025, 0.012, 0.006)
     angles: tuple[float, ...] = (0.5, 0.25, 0.12, 0.06, 0.03)
     checks: int = 20
@@ -175,8 +181,13 @@ class Pool:
         self._ways += list(front & near)
         self._values = np.concatenate([self._values, values.ravel()])
 
-    def best(self, wanted: int, deadline: float, most_checks: int) -> list[int]:
-        """Return entries that the robot reaches, the best first, at most one a pose; asks the robot as it goes."""
+    def best(
+        self, wanted: int, deadline: float, most_checks: int, apart: float = 0.0, turned: float = 0.0
+    ) -> list[int]:
+        """Return entries that the robot reaches, the best first, at most one a pose; asks the robot as it goes.
+
+        Any two are more than ``apart`` [m] or ``turned`` [rad] away from each other.
+        """
         found: list[int] = []
         poses: set[int] = set()
         checks = 0
@@ -184,7 +195,7 @@ class Pool:
             if not np.isfinite(self._values[entry]) or len(found) == wanted:
                 break
             pose = entry // len(self._masks)
-            if pose in poses:
+            if pose in poses or (apart and self._beside(pose, poses, apart, turned)):
                 continue
             if entry not in self._known:
                 if checks >= most_checks or (checks >= LEAST_CHECKS and time.monotonic() > deadline):
@@ -196,6 +207,28 @@ class Pool:
                 found.append(entry)
                 poses.add(pose)
         return found
+
+    def best_is_poor(self, deadline: float, most_checks: int) -> bool:
+        """Return whether at the best pose the person will probably take a grasp that is bad at the goal."""
+        problem, good = self.problem, good_at_goal(self.problem)
+        if problem.goal.table is None or good.all():
+            return False
+        entries = self.best(1, deadline, most_checks)
+        if not entries:
+            return True
+        chosen = self.candidate(entries[0])
+        allowed = problem.free[chosen.robot_grasp]
+        likely = grasp_probabilities(chosen.table, problem.goal, problem.choice, allowed)
+        return bool(likely[good].sum() < 0.5)
+
+    def _beside(self, pose: int, others: set[int], apart: float, turned: float) -> bool:
+        """Return whether a pose is near one of the others."""
+        for other in others:
+            steps = np.abs(self._points[pose] - self._points[other])
+            turns = np.minimum(steps[3:], 2.0 * np.pi - steps[3:])
+            if steps[:3].max() <= apart and turns.max() <= turned:
+                return True
+        return False
 
     def _reaching(self, entry: int) -> int:
         """Return a robot grasp with which the robot can be at an entry, -1: none of those tried."""
@@ -244,13 +277,26 @@ def search(
     report = SearchReport()
     pool = Pool(problem, robot, settings.attempts, report)
     rng = np.random.default_rng(settings.seed)
-    space, model = problem.space, problem.model
-    pool.add(np.concatenate([suggested(problem), space.spread(model, settings.spread, settings.seed)]))
+    pool.add(np.concatenate([suggested(problem), spread_for_goal(problem, settings)]))
+    close_in(pool, settings, rng, deadline)
+    if pool.best_is_poor(deadline, settings.checks) and time.monotonic() < deadline:
+        # Good poses are rare: where the grasps that would tempt the person are just out of reach.
+        pool.add(spread_for_goal(problem, replace(settings, screened=settings.screened_again, spread=10**9)))
+        close_in(pool, settings, rng, deadline)
+    report.stopped = time.monotonic() > deadline
+    entries = pool.best(wanted, deadline, 4 * settings.checks)
+    report.candidates = [pool.candidate(entry) for entry in entries]
+    report.seconds = time.monotonic() - started
+    return report
+
+
+def close_in(pool: Pool, settings: SearchSettings, rng: np.random.Generator, deadline: float) -> None:
+    """Look around the best candidates that the robot reaches, ever nearer to them."""
+    space, model = pool.problem.space, pool.problem.model
     for number, (length, angle) in enumerate(zip(settings.lengths, settings.angles, strict=True)):
         if time.monotonic() > deadline:
-            report.stopped = True
-            break
-        elites = pool.best(settings.elites, deadline, settings.checks)
+            return
+        elites = pool.best(settings.elites, deadline, settings.checks, 2.0 * length, 2.0 * angle)
         if elites:
             centres = np.stack([pool.point(entry) for entry in elites])
             scatter = np.array([length, length, length, angle, angle, angle])
@@ -259,10 +305,6 @@ def search(
         else:
             children = space.spread(model, 2 * settings.spread, settings.seed + 1 + number)
         pool.add(children)
-    entries = pool.best(wanted, deadline, 4 * settings.checks)
-    report.candidates = [pool.candidate(entry) for entry in entries]
-    report.seconds = time.monotonic() - started
-    return report
 
 
 def exhaustive(
@@ -286,6 +328,35 @@ def exhaustive(
     report.candidates = [pool.candidate(entry) for entry in pool.best(1, np.inf, 10**9)]
     report.seconds = time.monotonic() - started
     return report
+
+
+def good_at_goal(problem: Problem) -> BoolArray:
+    """Return which few grasps are best at the goal (grasps,)."""
+    later = np.broadcast_to(problem.goal.mean, (len(problem.grasps),))
+    good = np.zeros(len(later), dtype=bool)
+    good[np.argsort(later, kind="stable")[:GOOD_GRASPS]] = True
+    return good & (later <= later.min() + GOOD_SHARE * (later.max() - later.min()) + 1e-12)
+
+
+def spread_for_goal(problem: Problem, settings: SearchSettings) -> FloatArray:
+    """Return poses (n, 6) spread over the space; with a goal, those of many more at which its best grasps are good.
+
+    A grasp that is bad at the goal costs so much that a good offer leaves the person others: a look at the few grasps
+    that are best there tells which poses are worth a look at all grasps.
+    """
+    space, model = problem.space, problem.model
+    if problem.goal.table is None:
+        return space.spread(model, settings.spread, settings.seed)
+    later, kept = np.asarray(problem.goal.mean), good_at_goal(problem)
+    points = space.spread(model, settings.screened, settings.seed)
+    poses = space.transforms(model, points)
+    allowed = space.allowed(model, poses)
+    points, poses = points[allowed], poses[allowed]
+    few = problem.grasps.subset(kept)
+    table = statistics(problem.taker, few, poses, problem.choice.hand_rationality)
+    bound = (np.where(table[..., MEASURE] > 0.0, table[..., MEAN], np.inf) + later[kept]).min(axis=1)
+    best = np.argsort(bound, kind="stable")[: settings.spread]
+    return points[best[np.isfinite(bound[best])]]
 
 
 def suggested(problem: Problem) -> FloatArray:

@@ -38,9 +38,6 @@ GOALS = {
     "overhead": transform_from_xyz_rpy([0.35, -0.20, 0.20], [0.0, 0.0, -1.5]),
     "upside down": transform_from_xyz_rpy([0.40, -0.20, -0.15], [np.pi, 0.0, 0.5]),
 }
-# Only few grasps can be placed there, and an offer is good where the person can take no other: at places so narrow that
-# a search of some hundred poses may miss them.
-NARROW = [("pitcher", "overhead"), ("pitcher", "upside down")]
 GRIDS = {True: (0.09, 0.5), False: (0.18, 1.05)}  # upright: x, y, z, turn only [m, rad]
 PATIENCE = 5.0  # [s] for what takes milliseconds
 
@@ -116,9 +113,7 @@ def check(given, report):
         assert np.isfinite(value)
 
 
-@pytest.mark.parametrize(
-    ("name", "goal"), [(name, goal) for name in OBJECTS for goal in GOALS if (name, goal) not in NARROW]
-)
+@pytest.mark.parametrize(("name", "goal"), [(name, goal) for name in OBJECTS for goal in GOALS])
 def test_search_is_at_least_as_good_as_every_pose_of_a_grid(name, goal):
     """The online mode, with some hundred poses, finds what a grid of thousands does not beat (MN, expected cost)."""
     given = problem(name, goal)
@@ -127,20 +122,8 @@ def test_search_is_at_least_as_good_as_every_pose_of_a_grid(name, goal):
     check(given, found)
     check(given, oracle)
     assert len(oracle.candidates) == 1
-    assert found.poses < oracle.poses / 5
+    assert found.poses < oracle.poses / 3
     assert found.candidates[0].value <= oracle.candidates[0].value + 1e-9
-
-
-@pytest.mark.parametrize(("name", "goal"), NARROW)
-def test_search_stays_near_the_grid_where_good_poses_are_rare(name, goal):
-    """There it may cost up to half as much again, and never more than without a look at the goal."""
-    given = problem(name, goal)
-    found = search(given)
-    check(given, found)
-    assert found.candidates[0].value <= 1.5 * exhaustive(given, None, *GRIDS[True]).candidates[0].value
-    blind = search(replace(given, goal=GoalCosts())).candidates[0]
-    value = given.objective(blind.table[None], given.goal, given.choice, given.free[blind.robot_grasp][None])[0, 0]
-    assert found.candidates[0].value <= value + 1e-9
 
 
 @pytest.mark.parametrize("person", ["MP", "GN", "GP"])
