@@ -294,9 +294,9 @@ class RobotBeforeTorso:
     robot: RobotSide
     world_from_torso: FloatArray
 
-    def near(self, torso_from_object: FloatArray) -> npt.NDArray[np.bool_]:
-        """Return whether grasps are within the arm's length at poses (n, 4, 4), shape (n, r)."""
-        return self.robot.near(self.world_from_torso @ torso_from_object)
+    def stretches(self, torso_from_object: FloatArray) -> FloatArray:
+        """Return how far grasps stretch the arm [m] at poses (n, 4, 4), shape (n, r); inf: too far."""
+        return self.robot.stretches(self.world_from_torso @ torso_from_object)
 
     def reachable(self, torso_from_object: FloatArray, robot_grasp: int) -> bool:
         """Return whether the arm can be at a pose (4, 4) with a grasp."""

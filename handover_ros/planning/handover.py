@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_ros.errors import ErrorCode, HandoverError, InfeasibleError, UnknownNameError
 from handover_ros.geometry import FloatArray, invert_transform, make_transform
@@ -193,11 +192,11 @@ class HandoverPlanner:
             checker.hold(object_solids(model, ways[index]))
             return reach.quick_check(world_from_gripper, checker, standing, search.offering)
 
-        def near(world_from_object: FloatArray) -> npt.NDArray[np.bool_]:
-            return reach.inverse_kinematics.all_within_arm_length(world_from_object[:, None] @ grasps)
+        def stretches(world_from_object: FloatArray) -> FloatArray:
+            return reach.inverse_kinematics.stretches(world_from_object[:, None] @ grasps)
 
         grasps = np.array(picking.grasps)
-        return RobotSide(grasps, self._grippers[picking.arm], near, reachable)
+        return RobotSide(grasps, self._grippers[picking.arm], stretches, reachable)
 
     def warm_up(self) -> None:
         """Load (at the very first time: compile) what a plan runs, so that no request waits for it."""
@@ -208,7 +207,7 @@ class HandoverPlanner:
         arm = self.motion.robot.arm_names[0]
         anything = np.tile(np.eye(4), (1, 1, 1))
         robot = RobotSide(
-            anything, self._grippers[arm], lambda poses: np.ones((len(poses), 1), dtype=bool), lambda pose, index: True
+            anything, self._grippers[arm], lambda poses: np.zeros((len(poses), 1)), lambda pose, index: True
         )
         person = TrackedPerson(make_transform(np.eye(3), [0.0, 0.0, 1.4]))
         goal = make_transform(np.eye(3), [0.4, 0.0, 1.1])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
@@ -55,13 +54,14 @@ class RobotSide:
     Attributes:
         object_from_gripper: The grasps of one arm, shape (r, 4, 4).
         gripper: The gripper as points in its own frame [m], shape (n, 3).
-        near: Tells at which object poses (n, 4, 4) in the world each grasp is within the arm's length (n, r).
+        stretches: Tells for object poses (n, 4, 4) in the world how far each grasp stretches the arm [m] (n, r); inf:
+            farther than it is long.
         reachable: Tells whether the arm can be there with a grasp: world_from_object (4, 4), place of the grasp.
     """
 
     object_from_gripper: FloatArray
     gripper: FloatArray
-    near: Callable[[FloatArray], npt.NDArray[np.bool_]]
+    stretches: Callable[[FloatArray], FloatArray]
     reachable: Callable[[FloatArray, int], bool]
 
 

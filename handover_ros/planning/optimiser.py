@@ -30,8 +30,8 @@ BoolArray = npt.NDArray[np.bool_]
 class Robot(Protocol):
     """The arm that is to offer the object, as the search asks it; object poses are in the torso frame."""
 
-    def near(self, torso_from_object: FloatArray) -> BoolArray:
-        """Return whether its grasps are within its length at poses (n, 4, 4), shape (n, robot grasps): cheap."""
+    def stretches(self, torso_from_object: FloatArray) -> FloatArray:
+        """Return how far its grasps stretch it [m] at poses (n, 4, 4), shape (n, robot grasps); inf: too far. Cheap."""
 
     def reachable(self, torso_from_object: FloatArray, robot_grasp: int) -> bool:
         """Return whether it can be at a pose (4, 4) with a grasp, free of collisions: dear."""
@@ -40,6 +40,7 @@ class Robot(Protocol):
 FROM_PERSON = 0.5  # cosine between gripper and the person's reach above which the robot would come from their side
 GOOD_GRASPS = 8  # the best at the goal, by which a search for a goal starts,
 GOOD_SHARE = 0.5  # if they are in the better half of the range of costs there
+NEARBY = 0.15  # share of the distance between elites within which the robot's reach is the same, most probably
 LEAST_CHECKS = 4  # the robot is asked even when the time has run out
 CHUNK = 2000  # poses looked at together in the exhaustive mode
 
@@ -153,7 +154,7 @@ class Pool:
         self._points: list[FloatArray] = []
         self._poses: list[FloatArray] = []
         self._tables: list[FloatArray] = []
-        self._ways: list[BoolArray] = []
+        self._stretches: list[FloatArray] = []
         self._values = np.empty(0)  # of the entries, row by row (pose, kind)
         self._known: dict[int, int] = {}  # entry -> robot grasp that reaches it, -1: none does
 
@@ -166,7 +167,8 @@ class Pool:
         points, poses = points[kept], poses[kept]
         axes = np.einsum("nj,rj->nr", poses[:, 0, :3], problem.object_from_gripper[:, :3, 2])
         front = axes <= FROM_PERSON  # the gripper's axis along the person's reach, which is forward
-        near = np.ones_like(front) if self._robot is None else self._robot.near(poses)
+        stretches = np.zeros(front.shape) if self._robot is None else self._robot.stretches(poses)
+        near = np.isfinite(stretches)
         table = statistics(problem.taker, problem.grasps, poses, problem.choice.hand_rationality)
         values = problem.objective(table, problem.goal, problem.choice, self._masks)
         feasible = np.isfinite(values)
@@ -178,7 +180,7 @@ class Pool:
         self._points += list(points)
         self._poses += list(poses)
         self._tables += list(table)
-        self._ways += list(front & near)
+        self._stretches += list(np.where(front, stretches, np.inf))
         self._values = np.concatenate([self._values, values.ravel()])
 
     def best(
@@ -188,14 +190,17 @@ class Pool:
 
         Any two are more than ``apart`` [m] or ``turned`` [rad] away from each other.
         """
+        kinds = len(self._masks)
+        order = np.argsort(self._values, kind="stable")
+        points = np.array(self._points)
+        left = np.ones((len(points), kinds), dtype=bool)  # entries that may still be taken
         found: list[int] = []
-        poses: set[int] = set()
         checks = 0
-        for entry in np.argsort(self._values, kind="stable").tolist():
-            if not np.isfinite(self._values[entry]) or len(found) == wanted:
+        for entry in order[: int(np.isfinite(self._values).sum())].tolist():
+            pose, kind = divmod(entry, kinds)
+            if len(found) == wanted:
                 break
-            pose = entry // len(self._masks)
-            if pose in poses or (apart and self._beside(pose, poses, apart, turned)):
+            if not left[pose, kind]:
                 continue
             if entry not in self._known:
                 if checks >= most_checks or (checks >= LEAST_CHECKS and time.monotonic() > deadline):
@@ -205,7 +210,11 @@ class Pool:
                 checks += self.report.robot_checks - before
             if self._known[entry] >= 0:
                 found.append(entry)
-                poses.add(pose)
+                left[pose] = False
+                if apart:
+                    left[_beside(points, points[pose], apart, turned)] = False
+            elif apart:  # where the robot cannot be it cannot be nearby either, most probably: look elsewhere first
+                left[_beside(points, points[pose], NEARBY * apart, NEARBY * turned), kind] = False
         return found
 
     def best_is_poor(self, deadline: float, most_checks: int) -> bool:
@@ -221,22 +230,15 @@ class Pool:
         likely = grasp_probabilities(chosen.table, problem.goal, problem.choice, allowed)
         return bool(likely[good].sum() < 0.5)
 
-    def _beside(self, pose: int, others: set[int], apart: float, turned: float) -> bool:
-        """Return whether a pose is near one of the others."""
-        for other in others:
-            steps = np.abs(self._points[pose] - self._points[other])
-            turns = np.minimum(steps[3:], 2.0 * np.pi - steps[3:])
-            if steps[:3].max() <= apart and turns.max() <= turned:
-                return True
-        return False
-
     def _reaching(self, entry: int) -> int:
         """Return a robot grasp with which the robot can be at an entry, -1: none of those tried."""
         pose, kind = divmod(entry, len(self._masks))
-        rows = np.flatnonzero((self._kind == kind) & self._ways[pose])
+        stretches = np.where(self._kind == kind, self._stretches[pose], np.inf)
+        rows = np.flatnonzero(np.isfinite(stretches))
         if self._robot is None:
             return int(rows[0])
-        for row in rows[:: max(1, len(rows) // self._attempts)][: self._attempts]:
+        # The less it is stretched the more likely the arm gets there.
+        for row in rows[np.argsort(stretches[rows], kind="stable")[: self._attempts]]:
             self.report.robot_checks += 1
             if self._robot.reachable(self._poses[pose], int(row)):
                 return int(row)
@@ -253,6 +255,13 @@ class Pool:
         return Candidate(
             float(self._values[entry]), self._points[pose], self._poses[pose], self._known[entry], self._tables[pose]
         )
+
+
+def _beside(points: FloatArray, point: FloatArray, apart: float, turned: float) -> BoolArray:
+    """Return which poses (n, 6) are within a distance [m] and turn [rad] of another (6,)."""
+    steps = np.abs(points - point)
+    turns = np.minimum(steps[:, 3:], 2.0 * np.pi - steps[:, 3:])
+    return np.asarray((steps[:, :3].max(axis=1) <= apart) & (turns.max(axis=1) <= turned))
 
 
 def search(

@@ -21,6 +21,8 @@ LIBRARY_SIZE = 8000  # random configurations whose poses are known
 NEAR_STARTS = 60  # of them, nearest to the target, tried in order
 ROTATION_LENGTH = 0.3  # [m] that one radian weighs in "nearest"
 REACH_SLACK = 0.02  # of the greatest distance found among the library's configurations
+DIRECTION_BINS = 10  # of the cosine between the gripper's axis and the line from the shoulder
+QUICK_LIBRARY = 2000  # of the library's configurations that ``quick`` chooses its start from
 LIMIT_WEIGHT = 0.3  # weight of the distance from the middle of the limits against closeness to the preferred posture
 
 
@@ -49,6 +51,10 @@ class InverseKinematics:
         self._shoulder = points[0]
         self._wrist = (np.linalg.inv(tip) @ np.append(points[-2], 1.0))[:3]
         distances = self._wrist_distances(self._library_poses)
+        wrists = self._library_poses[:, :3, :3] @ self._wrist + self._library_poses[:, :3, 3] - self._shoulder
+        outward = np.einsum("ni,ni->n", wrists, self._library_poses[:, :3, 2]) / np.maximum(distances, 1e-9)
+        self._farthest = np.zeros(DIRECTION_BINS)
+        np.maximum.at(self._farthest, _direction_bin(outward), (1.0 + REACH_SLACK) * distances)
         self._wrist_range = (1.0 - REACH_SLACK) * distances.min(), (1.0 + REACH_SLACK) * distances.max()
 
     def solve(
@@ -89,7 +95,7 @@ class InverseKinematics:
         settings = 1, SEPARATION, ITERATIONS, POSE_TOLERANCE
         found = kernels.search(*self._chain, self._lower, self._upper, target, self._home, *settings)
         if not len(found):
-            near = self._library[np.argmin(self._distances(target))][None]
+            near = self._library[np.argmin(self._distances(target, QUICK_LIBRARY))][None]
             found = kernels.search(*self._chain, self._lower, self._upper, target, near, *settings)
         return np.asarray(found)
 
@@ -101,12 +107,19 @@ class InverseKinematics:
 
     def within_arm_length(self, world_from_gripper: FloatArray) -> bool:
         """Return whether the wrist is no farther from the shoulder, and no nearer, than the arm can bring it."""
-        return bool(self.all_within_arm_length(np.asarray(world_from_gripper)))
+        distance = float(self._wrist_distances(np.asarray(world_from_gripper)))
+        return bool(self._wrist_range[0] <= distance <= self._wrist_range[1])
 
-    def all_within_arm_length(self, world_from_gripper: FloatArray) -> npt.NDArray[np.bool_]:
-        """Return ``within_arm_length`` (...) of many gripper poses (..., 4, 4)."""
-        distances = self._wrist_distances(world_from_gripper)
-        return np.asarray((self._wrist_range[0] <= distances) & (distances <= self._wrist_range[1]))
+    def stretches(self, world_from_gripper: FloatArray) -> FloatArray:
+        """Return how far gripper poses (..., 4, 4) stretch the arm, shoulder to wrist [m]; inf: farther than it can be.
+
+        A stretched arm points its gripper away from the shoulder only: how far it can be depends on the direction.
+        """
+        wrists = world_from_gripper[..., :3, :3] @ self._wrist + world_from_gripper[..., :3, 3] - self._shoulder
+        distances = np.sqrt(np.einsum("...i,...i->...", wrists, wrists))
+        outward = np.einsum("...i,...i->...", wrists, world_from_gripper[..., :3, 2]) / np.maximum(distances, 1e-9)
+        farthest = self._farthest[_direction_bin(outward)]
+        return np.where((distances >= self._wrist_range[0]) & (distances <= farthest), distances, np.inf)
 
     def _wrist_distances(self, poses: FloatArray) -> FloatArray:
         """Return the distance [m] of the wrist from the shoulder at gripper poses (..., 4, 4)."""
@@ -139,12 +152,17 @@ class InverseKinematics:
         nearest = np.argpartition(distance, NEAR_STARTS)[:NEAR_STARTS]
         return np.asarray(nearest[np.argsort(distance[nearest], kind="stable")])
 
-    def _distances(self, target: FloatArray) -> FloatArray:
-        """Return the squared distances [m2] of the library's gripper poses from a target, turns counted in."""
-        offsets = self._library_places - target[:3, 3]
+    def _distances(self, target: FloatArray, count: int = LIBRARY_SIZE) -> FloatArray:
+        """Return the squared distances [m2] of the library's first gripper poses from a target, turns counted in."""
+        offsets = self._library_places[:count] - target[:3, 3]
         # |R1 - R2|^2 = 2 |angle|^2 for small angles.
-        turned = self._library_turns @ target[:3, :3].ravel()
+        turned = self._library_turns[:count] @ target[:3, :3].ravel()
         return np.asarray(np.einsum("ij,ij->i", offsets, offsets) + ROTATION_LENGTH**2 * (3.0 - turned))
+
+
+def _direction_bin(outward: FloatArray) -> npt.NDArray[np.int64]:
+    """Return the bin of a cosine."""
+    return np.asarray(np.clip((outward + 1.0) * (DIRECTION_BINS / 2.0), 0, DIRECTION_BINS - 1).astype(np.int64))
 
 
 def _checked_pose(pose: FloatArray) -> FloatArray:

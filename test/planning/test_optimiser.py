@@ -51,8 +51,8 @@ class Arm:
     grasps: int = 0
     asked: list = field(default_factory=list)
 
-    def near(self, torso_from_object):
-        return self.within(torso_from_object, self.grasps)
+    def stretches(self, torso_from_object):
+        return np.where(self.within(torso_from_object, self.grasps), 0.0, np.inf)
 
     def reachable(self, torso_from_object, robot_grasp):
         self.asked.append((torso_from_object, robot_grasp))
