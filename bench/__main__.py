@@ -11,14 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench import calibration, inverse_kinematics, tracking
+from bench import calibration, inverse_kinematics, planning, tracking
 from bench.bench_simulation import factor
 from bench.peers import peer
 from handover_ros.cell.report import write_json
 from handover_ros.errors import HandoverError
 from handover_ros.sim.options import SimulationOptions
 
-PARTS = ("tracking", "calibration", "simulation", "ik")
+PARTS = ("tracking", "calibration", "simulation", "ik", "planning")
 # What the design asks for: metric, relation, value.
 REACH = {
     "ukf_speed_over_biorbd": (">=", 1.0),
@@ -32,6 +32,8 @@ REACH = {
     **{f"calibration_{kind}_axis_max_deg": ("<=", 1.5) for kind in calibration.KINDS},
     **{f"calibration_{kind}_limit_max_deg": ("<=", 3.0) for kind in calibration.KINDS},
     "sim_realtime_factor": (">=", 5.0),
+    "plan_median_ms": ("<=", 100.0),
+    "plan_cost_over_exhaustive_max": ("<=", 1.0),
     "ik_speed_over_eaik32": (">=", 20.0),
     "ik_poses_missed": ("<=", 0.0),
     "ik_cost_over_best_peer": ("<=", 1.0 + 1e-9),
@@ -76,6 +78,9 @@ def bench(
     if part in ("simulation", "all"):
         console.print("simulation ...")
         metrics["sim_realtime_factor"] = factor(5.0 if quick else 20.0, "calibrate", SimulationOptions())
+    if part in ("planning", "all"):
+        console.print("planning ...")
+        metrics |= planning.measure(seed, quick)
     if part in ("ik", "all"):
         console.print("inverse kinematics of the arm ...")
         metrics |= inverse_kinematics.measure(seed, quick, peer("eaik"), peer("ssik"))

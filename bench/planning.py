@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from handover_ros.errors import InfeasibleError
-from handover_ros.geometry import FloatArray, transform_from_xyz_rpy
+from handover_ros.geometry import transform_from_xyz_rpy
 from handover_ros.objects.catalogue import load_catalogue
 from handover_ros.objects.scene import load_scene
 from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, TrackedPerson, load_schemes
@@ -40,7 +40,7 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
     for name in OBJECTS:
         sizes: set[tuple[int, ...]] = set()
         for _ in range(4 if quick else GOALS):
-            task, goal_found = _task(planner, name, rng, scheme)
+            task = _task(planner, name, rng, scheme)
             planned = time.perf_counter()
             try:
                 offers = scheme.offers(task)
@@ -73,10 +73,8 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
     }
 
 
-def _task(
-    planner: HandoverPlanner, name: str, rng: np.random.Generator, scheme: ExpectedCostScheme
-) -> tuple[HandoverTask, FloatArray]:
-    """Return a task with a random goal at which the object can be placed, and the goal."""
+def _task(planner: HandoverPlanner, name: str, rng: np.random.Generator, scheme: ExpectedCostScheme) -> HandoverTask:
+    """Return a task with a random goal at which the object can be placed."""
     scene = planner.motion.scene
     torso = scene.person_pose @ transform_from_xyz_rpy([0.0, 0.0, SHOULDERS])
     arms = {arm: np.array(planner.motion.robot.arm(arm).home) for arm in planner.motion.robot.arm_names}
@@ -85,7 +83,7 @@ def _task(
     request = HandoverRequest(name, "expected_cost")
     search = Search(time.monotonic() + 3600.0)
     arm = "left" if name in ("mug", "glass") else "right"
-    _, ready, picking = planner._picking(arm, name, snapshot, search)
+    _, ready, picking = planner.picking(arm, name, snapshot, search)
     assert picking is not None
     while True:
         turned = np.pi if rng.random() < UPSIDE_DOWN else 0.0
@@ -96,4 +94,4 @@ def _task(
             scheme.situation(task)
         except InfeasibleError:
             continue
-        return task, goal
+        return task

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +12,11 @@ from handover_ros.arm import posture_kernels, swivel_kernels
 from handover_ros.arm.model import Arm
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
+from handover_ros.threads import in_parts
 
 IntArray = npt.NDArray[np.int64]
 kernels: Any = posture_kernels  # numba's functions carry no types
 swivels: Any = swivel_kernels
-Answer = TypeVar("Answer")
 
 LEAST_CHUNK = 200  # hand poses below which another thread does not pay
 SAMPLES_PER_POSE = 12  # room made at first
@@ -115,7 +111,7 @@ def feasible_sets(arm: Arm, torso_from_hand: FloatArray, step: float) -> Feasibl
                 return FeasibleSets(postures[:total], measures[:total], first)
             room = total
 
-    parts = _in_chunks(len(poses), chunk)
+    parts = in_parts(len(poses), chunk, LEAST_CHUNK)
     if len(parts) == 1:
         return parts[0]
     offsets = np.cumsum([0, *(len(part.measures) for part in parts)])
@@ -178,7 +174,7 @@ def weigh_quadratic_segments(
             table[start:end],
         )
 
-    _in_chunks(len(poses), chunk)
+    in_parts(len(poses), chunk, LEAST_CHUNK)
     return table
 
 
@@ -207,7 +203,7 @@ def best_postures(
             costs[start:end],
         )
 
-    _in_chunks(len(poses), chunk)
+    in_parts(len(poses), chunk, LEAST_CHUNK)
     return postures, costs
 
 
@@ -240,19 +236,3 @@ def _checked(arm: Arm, torso_from_hand: npt.ArrayLike) -> FloatArray:
     if poses.size and np.abs(poses[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max() > ROTATION_TOLERANCE:
         raise BadRequestError("hand poses must be rigid transforms with the last row 0 0 0 1")
     return arm.segment_poses(poses)
-
-
-@lru_cache(maxsize=1)
-def _threads() -> ThreadPoolExecutor:
-    """Return the threads that share the kernels' work: the kernels let go of the interpreter's lock."""
-    return ThreadPoolExecutor(max_workers=max(1, len(os.sched_getaffinity(0))), thread_name_prefix="hand_poses")
-
-
-def _in_chunks(count: int, work: Callable[[int, int], Answer]) -> list[Answer]:
-    """Return the answers of ``work`` on equal parts of ``range(count)``, in order."""
-    parts = max(1, min(len(os.sched_getaffinity(0)), count // LEAST_CHUNK))
-    bounds = np.linspace(0, count, parts + 1).astype(int)
-    pairs = list(zip(bounds[:-1].tolist(), bounds[1:].tolist()))
-    if parts == 1:
-        return [work(*pairs[0])]
-    return list(_threads().map(lambda pair: work(*pair), pairs))

@@ -9,13 +9,15 @@ wrist flexion +x, radial deviation -y. A left arm is the mirror image in the pla
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from functools import lru_cache
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 from scipy.spatial.transform import Rotation
 
+from handover_ros.arm import limb_kernels
 from handover_ros.arm.hand import hand_frames
 from handover_ros.errors import BadModelError, BadRequestError
 from handover_ros.geometry import FloatArray, invert_transform, make_transform
@@ -24,6 +26,7 @@ from handover_ros.skeleton.kernels import segment_poses
 from handover_ros.skeleton.tree import Skeleton
 from handover_ros.yaml_file import Schema, read_yaml
 
+kernels: Any = limb_kernels  # numba's functions carry no types
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("right", "left")
 JOINT_NAMES = (
@@ -114,10 +117,15 @@ class Arm:
 
     def limbs(self, displacements: npt.ArrayLike) -> FloatArray:
         """Return shoulder, elbow, wrist and grip (..., 4, 3) [m] in the torso frame of displacements (..., 7)."""
-        upper, fore, hand = self._right_frames(displacements)
-        grip = hand @ self.segment_from_hand
-        points = np.stack([frame[..., :3, 3] for frame in (upper, fore, hand, grip)], axis=-2)
-        return points if self.side == "right" else points * [1.0, -1.0, 1.0]
+        q = np.asarray(displacements, dtype=float)
+        if q.shape[-1:] != (7,):
+            raise BadRequestError(f"an arm has 7 displacements, got an array of shape {q.shape}")
+        points = np.empty((q.size // 7, 4, 3))
+        grip = np.array([self.grip_along, self.grip_out])
+        kernels.limbs(np.ascontiguousarray(q.reshape(-1, 7)), self.right_shoulder, self.lengths, grip, points)
+        if self.side == "left":
+            points[..., 1] *= -1.0
+        return points.reshape(*q.shape[:-1], 4, 3)
 
     def segment_poses(self, torso_from_hand: npt.ArrayLike) -> FloatArray:
         """Return the poses (n, 4, 4) of the hand segment, mirrored to the right, with the grip at poses (n, 4, 4)."""
@@ -194,6 +202,7 @@ class _ArmFile(Schema):
     limits: _LimitsFile
 
 
+@lru_cache(maxsize=16)
 def load_arm(name: str = "adult", side: Side = "right") -> Arm:
     """Return the arm of ``config/arms/<name>.yaml``.
 

@@ -25,13 +25,15 @@ from handover_ros.planning.gripper_blocks import free_grasps
 from handover_ros.planning.objectives import OBJECTIVES, expected_cost
 from handover_ros.planning.obstacles import Obstacles, obstacles_of
 from handover_ros.planning.offers import HandoverTask, Offer, RobotSide, levelled
-from handover_ros.planning.optimiser import Candidate, Problem, SearchReport, SearchSettings, search
+from handover_ros.planning.optimiser import SearchSettings, search
 from handover_ros.planning.pose_space import PoseSpace
+from handover_ros.planning.problem import Candidate, Problem, SearchReport
 from handover_ros.planning.types import PredictedChoice, PredictedGrasp, TrackedPerson
 from handover_ros.skeleton.tree import Skeleton
 from handover_ros.yaml_file import Schema, Vector3
 
 BODY_MASS = 75.0  # [kg] of a person of whom it is not known
+DRAWN = 5  # most probable grasps whose postures are told
 LEAST_PROBABILITY = 1e-4  # of a grasp worth telling
 Seven = Annotated[tuple[float, ...], Field(min_length=7, max_length=7)]
 
@@ -97,7 +99,7 @@ class ExpectedCostFile(Schema):
     step: Annotated[float, Field(gt=0.01, le=2.0)] = STEP
     space: SpaceFile = SpaceFile()
     time_budget: Annotated[float, Field(gt=0.0, le=3600.0)] = 2.0
-    most_offers: Annotated[int, Field(ge=1, le=200)] = 4
+    most_offers: Annotated[int, Field(ge=1, le=200)] = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,8 +300,12 @@ class RobotBeforeTorso:
         """Return how far grasps stretch the arm [m] at poses (n, 4, 4), shape (n, r); inf: too far."""
         return self.robot.stretches(self.world_from_torso @ torso_from_object)
 
+    def kinematic(self, torso_from_object: FloatArray, robot_grasps: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Return whether the arm can be at poses (n, 4, 4) with grasps (n,), collisions aside, shape (n,)."""
+        return self.robot.kinematic(self.world_from_torso @ torso_from_object, robot_grasps)
+
     def reachable(self, torso_from_object: FloatArray, robot_grasp: int) -> bool:
-        """Return whether the arm can be at a pose (4, 4) with a grasp."""
+        """Return whether the arm can be at a pose (4, 4) with a grasp, free of collisions."""
         return self.robot.reachable(self.world_from_torso @ torso_from_object, robot_grasp)
 
 
@@ -313,8 +319,8 @@ def predict(situation: Situation, candidate: Candidate) -> PredictedChoice:
     order = np.argsort(-probabilities, kind="stable")
     likely = [int(g) for g in order if probabilities[g] > 0.0]
     grasps = tuple(
-        _predicted_grasp(situation, candidate, grasp, float(probabilities[grasp]))
-        for grasp in likely
+        _predicted_grasp(situation, candidate, grasp, float(probabilities[grasp]), number < DRAWN)
+        for number, grasp in enumerate(likely)
         if probabilities[grasp] >= LEAST_PROBABILITY or grasp == likely[0]
     )
     value = expected_cost(table[None], goal, problem.choice, allowed[None])
@@ -329,13 +335,16 @@ def predict(situation: Situation, candidate: Candidate) -> PredictedChoice:
     )
 
 
-def _predicted_grasp(situation: Situation, candidate: Candidate, grasp: int, probability: float) -> PredictedGrasp:
-    """Return one grasp with its best postures."""
+def _predicted_grasp(
+    situation: Situation, candidate: Candidate, grasp: int, probability: float, drawn: bool
+) -> PredictedGrasp:
+    """Return one grasp, with its best postures if it shall be drawn."""
     problem, here = situation.problem, situation.world_from_torso
     goal_cost, goal_limbs = float("nan"), {}
     placing, goal = situation.placing, situation.world_from_goal
     if placing is not None and goal is not None and placing.table[grasp, MEASURE] > 0.0:
         goal_cost = float(placing.table[grasp, MEAN])
+    if drawn and np.isfinite(goal_cost) and placing is not None and goal is not None:
         there = placing.world_from_torso[grasp]
         obstacles = obstacles_of(situation.boxes, there)
         goal_limbs = _best_limbs(problem, invert_transform(there) @ goal, grasp, there, obstacles)
@@ -345,7 +354,7 @@ def _predicted_grasp(situation: Situation, candidate: Candidate, grasp: int, pro
         hands={
             side: here @ candidate.torso_from_object @ pose for side, pose in problem.grasps.hand_poses(grasp).items()
         },
-        limbs=_best_limbs(problem, candidate.torso_from_object, grasp, here, None),
+        limbs=_best_limbs(problem, candidate.torso_from_object, grasp, here, None) if drawn else {},
         hand_cost=float(candidate.table[grasp, MEAN]),
         goal_cost=goal_cost,
         goal_limbs=goal_limbs,

@@ -21,7 +21,7 @@ AHEAD = (0.25, 0.32, 0.40, 0.50)  # [m] from the shoulders to the goal, horizont
 SIDEWAYS = (-0.6, -0.2, 0.2, 0.6)  # [rad] of the goal from straight ahead
 STOOP = (0.0, 0.10, 0.20)  # [m] the shoulders come down
 STEP_COST, TURN_COST, STOOP_COST = 0.3, 0.1, 5.0  # [1/m], [1/rad], [1/m] against the cost of the arm's posture
-TRIED = 4  # stances of a grasp at which what stands around is looked at
+TRIED = 3  # stances of a grasp at which what stands around is looked at
 
 Box = tuple[FloatArray, FloatArray]  # lengths (3,) [m], world_from_box (4, 4)
 

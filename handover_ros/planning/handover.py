@@ -16,7 +16,7 @@ from handover_ros.objects.scene import Scene
 from handover_ros.planning.expected_cost import ExpectedCostScheme
 from handover_ros.planning.explain import explain
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
-from handover_ros.planning.offers import HandoverTask, Offer, RobotSide, Scheme
+from handover_ros.planning.offers import BoolArray, HandoverTask, IntArray, Offer, RobotSide, Scheme
 from handover_ros.planning.picking import Holding, Pick, Picking, held_pick
 from handover_ros.planning.types import (
     CellSnapshot,
@@ -121,7 +121,7 @@ class HandoverPlanner:
         arms = self._arms(request, world_from_object, snapshot)
         refusal: InfeasibleError | None = None
         for arm in arms:
-            lead, ready, picking = self._picking(arm, request.object_name, snapshot, search)
+            lead, ready, picking = self.picking(arm, request.object_name, snapshot, search)
             search.grasps += 1 if picking is None else len(picking.grasps)
             if picking is None or not picking.grasps:
                 continue
@@ -182,21 +182,22 @@ class HandoverPlanner:
         checker = motion.checker(picking.arm, snapshot, motion.held_object(picking.arm, name, ways[0]))
 
         def reachable(world_from_object: FloatArray, index: int) -> bool:
-            if picking.refused(index):
+            if picking.refused(index) or not picking.plausible(index):
                 return False
             world_from_gripper = world_from_object @ picking.grasps[index]
-            if not reach.quick_check(world_from_gripper, None, standing, search.offering):
-                return False
-            if not picking.plausible(index):
-                return False
             checker.hold(object_solids(model, ways[index]))
             return reach.quick_check(world_from_gripper, checker, standing, search.offering)
 
         def stretches(world_from_object: FloatArray) -> FloatArray:
             return reach.inverse_kinematics.stretches(world_from_object[:, None] @ grasps)
 
+        def kinematic(world_from_object: FloatArray, indices: IntArray) -> BoolArray:
+            found = reach.inverse_kinematics.quick_many(world_from_object @ grasps[indices])
+            search.offering.counts[Reason.JOINT_LIMITS, ""] += int((~found).sum())
+            return found
+
         grasps = np.array(picking.grasps)
-        return RobotSide(grasps, self._grippers[picking.arm], stretches, reachable)
+        return RobotSide(grasps, self._grippers[picking.arm], stretches, kinematic, reachable)
 
     def warm_up(self) -> None:
         """Load (at the very first time: compile) what a plan runs, so that no request waits for it."""
@@ -205,9 +206,12 @@ class HandoverPlanner:
             return
         model = next(iter(self.motion.catalogue.values()))
         arm = self.motion.robot.arm_names[0]
-        anything = np.tile(np.eye(4), (1, 1, 1))
         robot = RobotSide(
-            anything, self._grippers[arm], lambda poses: np.zeros((len(poses), 1)), lambda pose, index: True
+            object_from_gripper=np.eye(4)[None],
+            gripper=self._grippers[arm],
+            stretches=lambda poses: np.zeros((len(poses), 1)),
+            kinematic=lambda poses, _: self.motion.reaches[arm].inverse_kinematics.quick_many(poses),
+            reachable=lambda pose, index: True,
         )
         person = TrackedPerson(make_transform(np.eye(3), [0.0, 0.0, 1.4]))
         goal = make_transform(np.eye(3), [0.4, 0.0, 1.1])
@@ -240,7 +244,7 @@ class HandoverPlanner:
         homes = {arm: robot.gripper_pose(arm, robot.arm(arm).home)[:3, 3] for arm in free}
         return sorted(free, key=lambda arm: float(np.linalg.norm(homes[arm] - world_from_object[:3, 3])))
 
-    def _picking(
+    def picking(
         self, arm: str, name: str, snapshot: CellSnapshot, search: Search
     ) -> tuple[FloatArray, CellSnapshot, Picking | Holding | None]:
         """Return an arm's way from where it stands, the cell after that, and how it picks up the object (None: cannot).

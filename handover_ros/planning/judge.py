@@ -11,7 +11,7 @@ from handover_ros.geometry import FloatArray, invert_transform
 from handover_ros.planning.expected_cost import ExpectedCostScheme, predict
 from handover_ros.planning.feasible import statistics
 from handover_ros.planning.offers import HandoverTask
-from handover_ros.planning.optimiser import Candidate
+from handover_ros.planning.problem import Candidate
 from handover_ros.planning.types import PredictedChoice
 
 

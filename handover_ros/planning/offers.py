@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.goal_stance import Box
 from handover_ros.planning.types import ExpectedPosture, PredictedChoice, TrackedPerson
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +60,16 @@ class RobotSide:
         gripper: The gripper as points in its own frame [m], shape (n, 3).
         stretches: Tells for object poses (n, 4, 4) in the world how far each grasp stretches the arm [m] (n, r); inf:
             farther than it is long.
-        reachable: Tells whether the arm can be there with a grasp: world_from_object (4, 4), place of the grasp.
+        kinematic: Tells for object poses (n, 4, 4) and places of grasps (n,) whether the arm can be there (n,),
+            collisions aside; misses one in a hundred.
+        reachable: Tells whether the arm can pick it up and be there free of collisions: world_from_object (4, 4), place
+            of the grasp.
     """
 
     object_from_gripper: FloatArray
     gripper: FloatArray
     stretches: Callable[[FloatArray], FloatArray]
+    kinematic: Callable[[FloatArray, IntArray], BoolArray]
     reachable: Callable[[FloatArray, int], bool]
 
 

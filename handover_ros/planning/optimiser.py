@@ -9,88 +9,18 @@ stopped at any time and then has its best so far.
 from __future__ import annotations
 
 import time
-from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray, invert_transform
-from handover_ros.objects.catalogue import ObjectModel
-from handover_ros.planning.choice import MEAN, MEASURE, ChoiceModel, GoalCosts, grasp_probabilities
-from handover_ros.planning.feasible import Taker, statistics
-from handover_ros.planning.grasp_set import GraspSet
-from handover_ros.planning.objectives import Objective
-from handover_ros.planning.pose_space import PoseSpace
+from handover_ros.planning.candidate_pool import CandidatePool
+from handover_ros.planning.choice import MEAN, MEASURE
+from handover_ros.planning.feasible import statistics
+from handover_ros.planning.problem import Problem, Robot, SearchReport, good_at_goal, ways_of
 
-BoolArray = npt.NDArray[np.bool_]
-
-
-class Robot(Protocol):
-    """The arm that is to offer the object, as the search asks it; object poses are in the torso frame."""
-
-    def stretches(self, torso_from_object: FloatArray) -> FloatArray:
-        """Return how far its grasps stretch it [m] at poses (n, 4, 4), shape (n, robot grasps); inf: too far. Cheap."""
-
-    def reachable(self, torso_from_object: FloatArray, robot_grasp: int) -> bool:
-        """Return whether it can be at a pose (4, 4) with a grasp, free of collisions: dear."""
-
-
-FROM_PERSON = 0.5  # cosine between gripper and the person's reach above which the robot would come from their side
-GOOD_GRASPS = 8  # the best at the goal, by which a search for a goal starts,
-GOOD_SHARE = 0.5  # if they are in the better half of the range of costs there
-NEARBY = 0.15  # share of the distance between elites within which the robot's reach is the same, most probably
-LEAST_CHECKS = 4  # the robot is asked even when the time has run out
+BESIDE_THE_WAY = 0.3  # of the scatter
 CHUNK = 2000  # poses looked at together in the exhaustive mode
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """What is to be decided, and what is known.
-
-    Attributes:
-        model: The object.
-        grasps: Of the person.
-        object_from_gripper: Robot grasps, shape (r, 4, 4).
-        free: Which grasps each robot grasp leaves to the person, shape (r, grasps).
-        taker: The person's arms and what they find comfortable.
-        choice: How they choose.
-        goal: What each grasp costs at the goal.
-        objective: To be minimised.
-        space: Poses to choose from.
-        comfortable: torso_from_hand (4, 4) of a comfortable hand of each side of ``grasps``, in that order.
-    """
-
-    model: ObjectModel
-    grasps: GraspSet
-    object_from_gripper: FloatArray
-    free: BoolArray
-    taker: Taker
-    choice: ChoiceModel
-    goal: GoalCosts
-    objective: Objective
-    space: PoseSpace
-    comfortable: tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A robot grasp and a pose of the object.
-
-    Attributes:
-        value: Of the objective.
-        point: The pose's numbers, see ``PoseSpace``. Shape (6,).
-        torso_from_object: Shape (4, 4).
-        robot_grasp: Row of ``Problem.object_from_gripper``.
-        table: Statistics of every grasp there, shape (grasps, 5).
-    """
-
-    value: float
-    point: FloatArray
-    torso_from_object: FloatArray
-    robot_grasp: int
-    table: FloatArray
 
 
 @dataclass(frozen=True)
@@ -113,155 +43,13 @@ class SearchSettings:
     spread: int = 128
     screened: int = 1024
     screened_again: int = 16384
-    elites: int = 5
-    children: int = 60
+    elites: int = 4
+    children: int = 44
     lengths: tuple[float, ...] = (0.10, 0.05, 0.025, 0.012, 0.006)
     angles: tuple[float, ...] = (0.5, 0.25, 0.12, 0.06, 0.03)
-    checks: int = 20
+    checks: int = 64
     attempts: int = 2
     seed: int = 0
-
-
-@dataclass
-class SearchReport:
-    """What a search found and looked at.
-
-    Attributes:
-        candidates: Feasible ones, the best first.
-        poses: Number of poses looked at.
-        refused: Why others were not taken, in counts.
-        robot_checks: How often the robot was asked.
-        seconds: Wall time.
-        stopped: Whether the time ran out.
-    """
-
-    candidates: list[Candidate] = field(default_factory=list)
-    poses: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
-    robot_checks: int = 0
-    seconds: float = 0.0
-    stopped: bool = False
-
-
-class Pool:
-    """Everything looked at so far, one entry for each pose and each different set of grasps left free."""
-
-    def __init__(self, problem: Problem, robot: Robot | None, attempts: int, report: SearchReport) -> None:
-        self.problem, self.report = problem, report
-        self._robot, self._attempts = robot, attempts
-        self._masks, self._kind = np.unique(problem.free, axis=0, return_inverse=True)
-        self._kind = np.asarray(self._kind).reshape(-1)
-        self._points: list[FloatArray] = []
-        self._poses: list[FloatArray] = []
-        self._tables: list[FloatArray] = []
-        self._stretches: list[FloatArray] = []
-        self._values = np.empty(0)  # of the entries, row by row (pose, kind)
-        self._known: dict[int, int] = {}  # entry -> robot grasp that reaches it, -1: none does
-
-    def add(self, points: FloatArray) -> None:
-        """Look at poses (n, 6)."""
-        problem, report = self.problem, self.report
-        poses = problem.space.transforms(problem.model, points)
-        report.poses += len(points)
-        kept = problem.space.allowed(problem.model, poses, report.refused)
-        points, poses = points[kept], poses[kept]
-        axes = np.einsum("nj,rj->nr", poses[:, 0, :3], problem.object_from_gripper[:, :3, 2])
-        front = axes <= FROM_PERSON  # the gripper's axis along the person's reach, which is forward
-        stretches = np.zeros(front.shape) if self._robot is None else self._robot.stretches(poses)
-        near = np.isfinite(stretches)
-        table = statistics(problem.taker, problem.grasps, poses, problem.choice.hand_rationality)
-        values = problem.objective(table, problem.goal, problem.choice, self._masks)
-        feasible = np.isfinite(values)
-        report.refused["no grasp in the person's reach"] += int((~feasible).all(axis=1).sum())
-        for ways, reason in ((front, "robot's gripper on the person's side"), (front & near, "beyond the robot's arm")):
-            possible = np.stack([ways[:, self._kind == kind].any(axis=1) for kind in range(len(self._masks))], axis=1)
-            report.refused[reason] += int((np.isfinite(values) & ~possible).sum())
-            values[~possible] = np.inf
-        self._points += list(points)
-        self._poses += list(poses)
-        self._tables += list(table)
-        self._stretches += list(np.where(front, stretches, np.inf))
-        self._values = np.concatenate([self._values, values.ravel()])
-
-    def best(
-        self, wanted: int, deadline: float, most_checks: int, apart: float = 0.0, turned: float = 0.0
-    ) -> list[int]:
-        """Return entries that the robot reaches, the best first, at most one a pose; asks the robot as it goes.
-
-        Any two are more than ``apart`` [m] or ``turned`` [rad] away from each other.
-        """
-        kinds = len(self._masks)
-        order = np.argsort(self._values, kind="stable")
-        points = np.array(self._points)
-        left = np.ones((len(points), kinds), dtype=bool)  # entries that may still be taken
-        found: list[int] = []
-        checks = 0
-        for entry in order[: int(np.isfinite(self._values).sum())].tolist():
-            pose, kind = divmod(entry, kinds)
-            if len(found) == wanted:
-                break
-            if not left[pose, kind]:
-                continue
-            if entry not in self._known:
-                if checks >= most_checks or (checks >= LEAST_CHECKS and time.monotonic() > deadline):
-                    continue
-                before = self.report.robot_checks
-                self._known[entry] = self._reaching(entry)
-                checks += self.report.robot_checks - before
-            if self._known[entry] >= 0:
-                found.append(entry)
-                left[pose] = False
-                if apart:
-                    left[_beside(points, points[pose], apart, turned)] = False
-            elif apart:  # where the robot cannot be it cannot be nearby either, most probably: look elsewhere first
-                left[_beside(points, points[pose], NEARBY * apart, NEARBY * turned), kind] = False
-        return found
-
-    def best_is_poor(self, deadline: float, most_checks: int) -> bool:
-        """Return whether at the best pose the person will probably take a grasp that is bad at the goal."""
-        problem, good = self.problem, good_at_goal(self.problem)
-        if problem.goal.table is None or good.all():
-            return False
-        entries = self.best(1, deadline, most_checks)
-        if not entries:
-            return True
-        chosen = self.candidate(entries[0])
-        allowed = problem.free[chosen.robot_grasp]
-        likely = grasp_probabilities(chosen.table, problem.goal, problem.choice, allowed)
-        return bool(likely[good].sum() < 0.5)
-
-    def _reaching(self, entry: int) -> int:
-        """Return a robot grasp with which the robot can be at an entry, -1: none of those tried."""
-        pose, kind = divmod(entry, len(self._masks))
-        stretches = np.where(self._kind == kind, self._stretches[pose], np.inf)
-        rows = np.flatnonzero(np.isfinite(stretches))
-        if self._robot is None:
-            return int(rows[0])
-        # The less it is stretched the more likely the arm gets there.
-        for row in rows[np.argsort(stretches[rows], kind="stable")[: self._attempts]]:
-            self.report.robot_checks += 1
-            if self._robot.reachable(self._poses[pose], int(row)):
-                return int(row)
-        self.report.refused["out of the robot's reach or in collision"] += 1
-        return -1
-
-    def point(self, entry: int) -> FloatArray:
-        """Return the pose (6,) of an entry."""
-        return self._points[entry // len(self._masks)]
-
-    def candidate(self, entry: int) -> Candidate:
-        """Return an entry that the robot is known to reach."""
-        pose = entry // len(self._masks)
-        return Candidate(
-            float(self._values[entry]), self._points[pose], self._poses[pose], self._known[entry], self._tables[pose]
-        )
-
-
-def _beside(points: FloatArray, point: FloatArray, apart: float, turned: float) -> BoolArray:
-    """Return which poses (n, 6) are within a distance [m] and turn [rad] of another (6,)."""
-    steps = np.abs(points - point)
-    turns = np.minimum(steps[:, 3:], 2.0 * np.pi - steps[:, 3:])
-    return np.asarray((steps[:, :3].max(axis=1) <= apart) & (turns.max(axis=1) <= turned))
 
 
 def search(
@@ -284,22 +72,22 @@ def search(
     started = time.monotonic()
     deadline = started + budget
     report = SearchReport()
-    pool = Pool(problem, robot, settings.attempts, report)
+    pool = CandidatePool(problem, robot, settings.attempts, report)
     rng = np.random.default_rng(settings.seed)
-    pool.add(np.concatenate([suggested(problem), spread_for_goal(problem, settings)]))
+    pool.add(np.concatenate([suggested(problem), spread_for_goal(problem, robot, settings)]))
     close_in(pool, settings, rng, deadline)
     if pool.best_is_poor(deadline, settings.checks) and time.monotonic() < deadline:
         # Good poses are rare: where the grasps that would tempt the person are just out of reach.
-        pool.add(spread_for_goal(problem, replace(settings, screened=settings.screened_again, spread=10**9)))
+        pool.add(spread_for_goal(problem, robot, replace(settings, screened=settings.screened_again, spread=10**9)))
         close_in(pool, settings, rng, deadline)
     report.stopped = time.monotonic() > deadline
-    entries = pool.best(wanted, deadline, 4 * settings.checks)
+    entries = pool.best(wanted, deadline, 2 * settings.checks)
     report.candidates = [pool.candidate(entry) for entry in entries]
     report.seconds = time.monotonic() - started
     return report
 
 
-def close_in(pool: Pool, settings: SearchSettings, rng: np.random.Generator, deadline: float) -> None:
+def close_in(pool: CandidatePool, settings: SearchSettings, rng: np.random.Generator, deadline: float) -> None:
     """Look around the best candidates that the robot reaches, ever nearer to them."""
     space, model = pool.problem.space, pool.problem.model
     for number, (length, angle) in enumerate(zip(settings.lengths, settings.angles, strict=True)):
@@ -307,13 +95,30 @@ def close_in(pool: Pool, settings: SearchSettings, rng: np.random.Generator, dea
             return
         elites = pool.best(settings.elites, deadline, settings.checks, 2.0 * length, 2.0 * angle)
         if elites:
-            centres = np.stack([pool.point(entry) for entry in elites])
             scatter = np.array([length, length, length, angle, angle, angle])
-            parents = centres[np.arange(settings.children) % len(centres)]
-            children = space.clip(model, parents + scatter * rng.normal(size=parents.shape))
+            children = space.clip(model, _children(pool, elites, scatter, settings.children, rng))
         else:
             children = space.spread(model, 2 * settings.spread, settings.seed + 1 + number)
         pool.add(children)
+
+
+def _children(
+    pool: CandidatePool, elites: list[int], scatter: FloatArray, count: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return poses (count, 6) scattered around the elites, half of them on the way to poses that are better still.
+
+    Those the robot does not reach: the best that it reaches lies at the edge of its reach, between the two.
+    """
+    parents = np.stack([pool.point(entry) for entry in elites])[np.arange(count) % len(elites)]
+    children = parents + scatter * rng.normal(size=parents.shape)
+    lures = pool.better_than(elites[0], len(elites) + 1)
+    if len(lures):
+        half = parents[::2]
+        way = lures[rng.integers(len(lures), size=len(half))] - half
+        way[:, 3:] = (way[:, 3:] + np.pi) % (2.0 * np.pi) - np.pi
+        shares = rng.uniform(size=(len(half), 1))
+        children[::2] = half + shares * way + BESIDE_THE_WAY * scatter * rng.normal(size=half.shape)
+    return children
 
 
 def exhaustive(
@@ -330,7 +135,7 @@ def exhaustive(
     """
     started = time.monotonic()
     report = SearchReport()
-    pool = Pool(problem, robot, attempts, report)
+    pool = CandidatePool(problem, robot, attempts, report)
     points = problem.space.grid(problem.model, spacing, angle)
     for start in range(0, len(points), CHUNK):
         pool.add(points[start : start + CHUNK])
@@ -339,15 +144,7 @@ def exhaustive(
     return report
 
 
-def good_at_goal(problem: Problem) -> BoolArray:
-    """Return which few grasps are best at the goal (grasps,)."""
-    later = np.broadcast_to(problem.goal.mean, (len(problem.grasps),))
-    good = np.zeros(len(later), dtype=bool)
-    good[np.argsort(later, kind="stable")[:GOOD_GRASPS]] = True
-    return good & (later <= later.min() + GOOD_SHARE * (later.max() - later.min()) + 1e-12)
-
-
-def spread_for_goal(problem: Problem, settings: SearchSettings) -> FloatArray:
+def spread_for_goal(problem: Problem, robot: Robot | None, settings: SearchSettings) -> FloatArray:
     """Return poses (n, 6) spread over the space; with a goal, those of many more at which its best grasps are good.
 
     A grasp that is bad at the goal costs so much that a good offer leaves the person others: a look at the few grasps
@@ -364,8 +161,13 @@ def spread_for_goal(problem: Problem, settings: SearchSettings) -> FloatArray:
     few = problem.grasps.subset(kept)
     table = statistics(problem.taker, few, poses, problem.choice.hand_rationality)
     bound = (np.where(table[..., MEASURE] > 0.0, table[..., MEAN], np.inf) + later[kept]).min(axis=1)
-    best = np.argsort(bound, kind="stable")[: settings.spread]
-    return points[best[np.isfinite(bound[best])]]
+    strain = ways_of(problem, robot, poses).min(axis=1)
+    bound = np.where(np.isfinite(strain), bound, np.inf)
+    order = np.argsort(bound, kind="stable")[: int(np.isfinite(bound).sum())]
+    # Half of them where the robot's arm need not stretch: there it most probably can be.
+    easy = order[strain[order] <= np.median(strain[order])] if len(order) else order
+    both = dict.fromkeys([*order[: settings.spread // 2].tolist(), *easy[: settings.spread // 2].tolist()])
+    return points[list(both)]
 
 
 def suggested(problem: Problem) -> FloatArray:

@@ -116,7 +116,8 @@ class PredictedGrasp:
         region: Name of the grasp region, or of both, joined by ``and``.
         probability: P(g).
         hands: ``world_from_hand`` (4, 4) of each hand, by side.
-        limbs: Shoulder, elbow, wrist and grip [m] (4, 3) of each arm in its best posture, in the world, by side.
+        limbs: Shoulder, elbow, wrist and grip [m] (4, 3) of each arm in its best posture, in the world, by side; empty
+            for improbable grasps.
         hand_cost: Expected cost at the handover, given this grasp.
         goal_cost: The same at the goal; NaN: there is no goal, or the object cannot be placed with this grasp.
         goal_limbs: As ``limbs``, at the goal; empty: there is none.

@@ -11,6 +11,7 @@ from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
 from handover_ros.robot import kinematics_kernels
 from handover_ros.robot.model import RobotModel
+from handover_ros.threads import in_parts
 
 kernels: Any = kinematics_kernels  # numba's functions carry no types
 
@@ -22,6 +23,8 @@ NEAR_STARTS = 60  # of them, nearest to the target, tried in order
 ROTATION_LENGTH = 0.3  # [m] that one radian weighs in "nearest"
 REACH_SLACK = 0.02  # of the greatest distance found among the library's configurations
 DIRECTION_BINS = 10  # of the cosine between the gripper's axis and the line from the shoulder
+LEAST_PART = 8  # poses for which another thread pays
+QUICK_ITERATIONS = 12  # of ``quick``: whoever gets there is there by then
 QUICK_LIBRARY = 2000  # of the library's configurations that ``quick`` chooses its start from
 LIMIT_WEIGHT = 0.3  # weight of the distance from the middle of the limits against closeness to the preferred posture
 
@@ -92,12 +95,36 @@ class InverseKinematics:
         target = _checked_pose(world_from_gripper)
         if not self.within_arm_length(target):
             return np.empty((0, len(self._lower)))
-        settings = 1, SEPARATION, ITERATIONS, POSE_TOLERANCE
+        settings = 1, SEPARATION, QUICK_ITERATIONS, POSE_TOLERANCE
         found = kernels.search(*self._chain, self._lower, self._upper, target, self._home, *settings)
         if not len(found):
             near = self._library[np.argmin(self._distances(target, QUICK_LIBRARY))][None]
             found = kernels.search(*self._chain, self._lower, self._upper, target, near, *settings)
         return np.asarray(found)
+
+    def quick_many(self, world_from_gripper: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return whether ``quick`` finds a solution (m,) for gripper poses (m, 4, 4), taken to be rigid."""
+        poses = np.ascontiguousarray(world_from_gripper)
+        found = np.zeros(len(poses), dtype=np.bool_)
+        count = QUICK_LIBRARY
+        library = self._library[:count], self._library_places[:count], self._library_turns[:count]
+
+        def part(start: int, end: int) -> None:
+            kernels.reached(
+                *self._chain,
+                self._lower,
+                self._upper,
+                poses[start:end],
+                self._home[0],
+                *library,
+                ROTATION_LENGTH,
+                QUICK_ITERATIONS,
+                POSE_TOLERANCE,
+                found[start:end],
+            )
+
+        in_parts(len(poses), part, LEAST_PART)
+        return found
 
     def gripper_pose(self, displacements: FloatArray) -> FloatArray:
         """Return ``world_from_gripper`` (4, 4); the compiled twin of ``RobotModel.gripper_pose``."""

@@ -219,6 +219,45 @@ def search(
 
 
 @numba.njit(cache=True, nogil=True)
+def reached(
+    axes: FloatArray,
+    points: FloatArray,
+    tip: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    targets: FloatArray,
+    home: FloatArray,
+    library: FloatArray,
+    places: FloatArray,
+    turns: FloatArray,
+    rotation_length: float,
+    iterations: int,
+    tolerance: float,
+    found: npt.NDArray[np.bool_],
+) -> None:
+    """Fill ``found`` (m,) with whether targets (m, 4, 4) are reached from home (n,) or the nearest of a library (s, n).
+
+    ``places`` (s, 3) and ``turns`` (s, 9) are the gripper poses of the library.
+    """
+    for index in range(len(targets)):
+        target = targets[index]
+        _, size = descend(axes, points, tip, lower, upper, target, home, iterations, tolerance)
+        if size >= tolerance:
+            nearest, least = 0, np.inf
+            for row in range(len(places)):
+                distance = 0.0
+                for i in range(3):
+                    offset = places[row, i] - target[i, 3]
+                    distance += offset * offset
+                    for j in range(3):
+                        distance -= rotation_length * rotation_length * turns[row, 3 * i + j] * target[i, j]
+                if distance < least:
+                    nearest, least = row, distance
+            _, size = descend(axes, points, tip, lower, upper, target, library[nearest], iterations, tolerance)
+        found[index] = size < tolerance
+
+
+@numba.njit(cache=True, nogil=True)
 def forward_many(axes: FloatArray, points: FloatArray, tip: FloatArray, displacements: FloatArray) -> FloatArray:
     """Return ``world_from_gripper`` (m, 4, 4) of many displacements (m, n)."""
     poses = np.empty((displacements.shape[0], 4, 4))

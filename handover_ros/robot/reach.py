@@ -122,7 +122,7 @@ class Reach:
             whole[self._indices] = displacements
             if checker.is_free(whole):
                 return True
-        reasons.add(*(checker.why(whole) or (Reason.SELF, "")))
+        reasons.add(Reason.BLOCKED, "in collision where the object is offered")
         return False
 
     def solutions(
