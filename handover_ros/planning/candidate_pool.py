@@ -25,6 +25,7 @@ BEYOND_ARM = "beyond the robot's arm, or its gripper on the person's side"
 BEYOND_LIMITS = "out of the robot's reach or limits"
 IN_THE_WAY = "the robot would collide there, or cannot pick the object up so"
 NEARBY = 0.15  # share of the distance between elites within which the robot's reach is the same, most probably
+FAR_FROM_FREE = 0.15  # relative
 BATCH = 48  # entries for which the robot is asked together
 
 
@@ -148,6 +149,14 @@ class CandidatePool:
         order = np.argsort(self._values, kind="stable")[:wanted]
         better = [int(each) for each in order if self._values[each] < self._values[entry]]
         return np.array([self.point(each) for each in better]).reshape(-1, 6)
+
+    def best_is_far_from_free(self, deadline: float, most_checks: int) -> bool:
+        """Return whether the best the robot reaches is much dearer than the best of all."""
+        if self._robot is None or not np.isfinite(self._values).any():
+            return False
+        entries = self.best(1, deadline, most_checks)
+        least = float(self._values.min())
+        return not entries or float(self._values[entries[0]]) > least + FAR_FROM_FREE * abs(least)
 
     def best_is_poor(self, deadline: float, most_checks: int) -> bool:
         """Return whether at the best pose the person will probably take a grasp that is bad at the goal."""

@@ -76,6 +76,8 @@ def search(
     rng = np.random.default_rng(settings.seed)
     pool.add(np.concatenate([suggested(problem), spread_for_goal(problem, robot, settings)]))
     close_in(pool, settings, rng, deadline)
+    if pool.best_is_far_from_free(deadline, settings.checks) and time.monotonic() < deadline:
+        close_in(pool, settings, rng, deadline)  # the robot's reach has many edges: look along them once more
     if pool.best_is_poor(deadline, settings.checks) and time.monotonic() < deadline:
         # Good poses are rare: where the grasps that would tempt the person are just out of reach.
         pool.add(spread_for_goal(problem, robot, replace(settings, screened=settings.screened_again, spread=10**9)))
