@@ -186,6 +186,66 @@ def track(
     raise typer.Exit(run_track(request, console))
 
 
+@app.command()
+def plan(
+    object_name: Annotated[str, typer.Argument(metavar="OBJECT", help="What to hand over, a file of config/objects.")],
+    scheme: Annotated[str, typer.Option(help="How the pose is chosen, a file of config/schemes.")] = "expected_cost",
+    person: Annotated[str, typer.Option(help="Who stands there, a file of config/people.")] = "adult",
+    profile: Annotated[str, typer.Option(metavar="ID|FILE", help="Stored profile, or a profile's file.")] = "",
+    person_model: Annotated[
+        str, typer.Option(metavar="MN|MP|GN|GP", help="How the person chooses; default: the scheme's.")
+    ] = "",
+    goal: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(metavar="X Y Z ROLL PITCH YAW", help="Where the person brings it [m, rad]; default: the scene's."),
+    ] = None,
+    no_goal: Annotated[bool, typer.Option("--no-goal", help="The person brings it nowhere.")] = False,
+    arm: Annotated[str, typer.Option(help="Arm of the robot; default: the one that suits.")] = "",
+    scene: SceneOption = "lab",
+    robot: RobotOption = "baxter",
+    budget: Annotated[float, typer.Option(min=0.0, help="Seconds for one plan; 0: the planner's default.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the searches for motions.")] = 0,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Plan one handover without a graph: likely grasps, what other schemes would give, picture."""
+    from handover_ros.cell.plan_command import PlanRequest, run_plan
+
+    request = PlanRequest(
+        object_name=object_name,
+        scheme=scheme,
+        person=person,
+        profile=profile,
+        person_model=person_model,
+        goal=goal,
+        no_goal=no_goal,
+        arm=arm,
+        scene=scene,
+        robot=robot,
+        budget=budget,
+        seed=seed,
+        json_file=json_file,
+        out=out,
+    )
+    raise typer.Exit(run_plan(request, console))
+
+
+@app.command()
+def objects(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME...]", help="Files of config/objects; default: all.")
+    ] = None,
+    robot: RobotOption = "baxter",
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Draw objects with the grasps of a hand and of the gripper: one picture an object."""
+    from handover_ros.cell.objects_command import ObjectsRequest, run_objects
+
+    request = ObjectsRequest(names=tuple(names or ()), robot=robot, json_file=json_file, out=out)
+    raise typer.Exit(run_objects(request, console))
+
+
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def run(
     context: typer.Context,
