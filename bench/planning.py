@@ -14,8 +14,9 @@ from handover_ros.objects.scene import load_scene
 from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, TrackedPerson, load_schemes
 from handover_ros.planning.expected_cost import ExpectedCostScheme, RobotBeforeTorso
 from handover_ros.planning.handover import Search
+from handover_ros.planning.objectives import OBJECTIVES, expected_cost
 from handover_ros.planning.offers import HandoverTask
-from handover_ros.planning.optimiser import exhaustive
+from handover_ros.planning.optimiser import exhaustive, search
 from handover_ros.robot import RobotModel
 
 OBJECTS = ("mug", "glass", "pitcher", "plate")
@@ -70,6 +71,34 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
         "plan_exhaustive_s": float(np.median(oracle_seconds)),
         "plan_compared": float(len(ratios)),
         "plan_warm_up_s": warm_up,
+        **study(seed, 2 if quick else 5),
+    }
+
+
+def study(seed: int, goals: int = 5) -> dict[str, float]:
+    """Return how the objectives compare in the conditions of Bestick 2017, section 3.5: 4 objects x 5 goals.
+
+    Each objective chooses freely (the robot reaches everywhere); what it chose is judged by the expected total cost.
+    """
+    scene, catalogue, schemes = load_scene("lab"), load_catalogue(), load_schemes()
+    planner = HandoverPlanner(RobotModel.load(), scene, catalogue, schemes)
+    scheme = schemes["expected_cost"]
+    assert isinstance(scheme, ExpectedCostScheme)
+    rng = np.random.default_rng(seed)
+    costs: dict[str, list[float]] = {name: [] for name in OBJECTIVES}
+    for name in OBJECTS:
+        for _ in range(goals):
+            problem = scheme.situation(_task(planner, name, rng, scheme)).problem
+            for objective in OBJECTIVES:
+                chosen = search(replace(problem, objective=OBJECTIVES[objective])).candidates[0]
+                allowed = problem.free[chosen.robot_grasp][None]
+                cost = expected_cost(chosen.table[None], problem.goal, problem.choice, allowed)[0, 0]
+                costs[objective].append(float(cost))
+    means = {objective: float(np.mean(values)) for objective, values in costs.items()}
+    return {
+        "study_expected_cost": means["expected_cost"],
+        "study_minimum_mean_over_expected": means["minimum_mean"] / means["expected_cost"],
+        "study_maximum_feasibility_over_expected": means["maximum_feasibility"] / means["expected_cost"],
     }
 
 

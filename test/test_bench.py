@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bench import planning
 from bench.__main__ import verdict
 from bench.arm import MOTIONS, RATE, error_deg, person, record
 from bench.biorbd_peer import model_text
+from bench.fuzz_planning import PATIENCE, fuzz
 from bench.inverse_kinematics import costs_of, hand_poses, least_cost, offsets
 from bench.peers import PEERS
 from handover_ros.arm.model import AXES, load_arm
@@ -124,3 +126,18 @@ def test_peers_are_pinned_as_in_the_extra():
     text = (SOURCE / "setup.py").read_text(encoding="utf-8")
     for wanted in PEERS.values():
         assert all(f'"{requirement}"' in text and "==" in requirement for requirement in wanted.requirements)
+
+
+def test_fuzzed_planning_requests_are_all_answered():
+    """Unknown names, NaN poses, goals out of reach, budgets of nothing: a sound plan or an error with words."""
+    report = fuzz(60, seed=3)
+    assert report.plans + sum(report.refusals.values()) == 60
+    assert report.crashes == []
+    assert report.not_finite == []
+    assert report.late < PATIENCE
+
+
+def test_expected_cost_is_least_then_the_mean_then_the_number_of_postures():
+    """The order of Bestick 2017, section 3.5, on average over objects and goals."""
+    found = planning.study(seed=2, goals=2)
+    assert 1.0 < found["study_minimum_mean_over_expected"] < found["study_maximum_feasibility_over_expected"]

@@ -14,6 +14,7 @@ from handover_ros.robot.trajectory import Trajectory
 from handover_ros.skeleton.tree import Skeleton
 
 ROTATION_TOLERANCE = 2e-3
+FARTHEST = 1000.0  # [m] from the origin: nothing of the cell is farther away
 
 
 class OutdatedSnapshotError(StaleDataError):
@@ -299,6 +300,10 @@ def check_transform(transform: FloatArray, what: str) -> None:
     array = np.asarray(transform, dtype=float)
     if array.shape != (4, 4) or not np.all(np.isfinite(array)):
         raise BadRequestError(f"{what}: must be a finite pose, got {array.tolist()}")
+    if np.abs(array[:3, 3]).max() > FARTHEST or np.abs(array[:3, :3]).max() > 2.0 or (array[3] != (0, 0, 0, 1)).any():
+        raise BadRequestError(
+            f"{what}: must be a rigid transform at most {FARTHEST:g} m from the origin, got {array.tolist()}"
+        )
     rotation = array[:3, :3]
     if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
         raise BadRequestError(f"{what}: the rotation is not orthonormal (a quaternion must have length 1)")

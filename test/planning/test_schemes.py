@@ -106,8 +106,10 @@ def test_relative_needs_the_person():
 
 
 def test_shipped_schemes():
-    assert set(load_schemes()) == {"constant", "personal", "relative"}
-    with pytest.raises(UnknownNameError, match="constant, personal, relative"):
+    chapter_2 = {"constant", "personal", "relative"}
+    chapter_3 = {"expected_cost", "minimum_mean", "maximum_feasibility"}
+    assert set(load_schemes()) == chapter_2 | chapter_3 | {"hip_offset"}
+    with pytest.raises(UnknownNameError, match=r"constant, expected_cost, .*, relative"):
         load_scheme("telepathic")
 
 
