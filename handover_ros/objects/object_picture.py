@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 HEADING, ELEVATION = 0.75, 0.42  # [rad] of the eye, from the object's x axis
 ASIDE = 1.9  # [rad] from where a hand or gripper comes from to the eye
-LEAST_COLUMNS, MOST_COLUMNS = 3, 6
+LEAST_COLUMNS, MOST_COLUMNS = 2, 6
 WIDTH, HEADER, TITLE = 16.0, 0.75, 0.36  # [inch]
 MARGIN = 0.012  # [m] around what is drawn
 SCALE = 0.1  # [m] of the bar
@@ -84,7 +84,7 @@ def draw_object(path: Path, model: ObjectModel, hands: Sequence[Grasps], gripper
     figure = pyplot.figure(figsize=(WIDTH, height), dpi=100)
     figure.text(0.008, 1.0 - 0.4 / height, _title(model), fontsize=17, fontweight="bold", color=INK, va="center")
     counts = (sum(len(each.poses) for each in group) for group in (hands, grippers))
-    words = "{} grasps of a hand, {} of the gripper; the middle one of each region drawn whole".format(*counts)
+    words = "{} grasps of the right hand, {} of the gripper; the middle one of each region drawn whole".format(*counts)
     figure.text(0.992, 1.0 - 0.4 / height, words, fontsize=12, color=INK, ha="right", va="center")
     for row, group in enumerate(groups):
         bottom = height - HEADER - (row + 1) * (tall + TITLE) + 0.04
