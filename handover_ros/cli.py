@@ -62,8 +62,8 @@ def demo(
         list[str] | None, typer.Option("--object", help="Object to hand over; repeat for a sequence.")
     ] = None,
     scheme: Annotated[
-        str, typer.Option(help="How the handover pose is chosen: constant, relative or personal.")
-    ] = "relative",
+        str, typer.Option(help="How the handover pose is chosen, a file of config/schemes.")
+    ] = "expected_cost",
     person: PersonOption = "adult",
     robot: RobotOption = "baxter",
     scene: SceneOption = "lab",

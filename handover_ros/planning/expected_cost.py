@@ -80,6 +80,7 @@ class ExpectedCostFile(Schema):
         regrasp: What it costs to take the object anew, times the greatest mean cost of a grasp at the goal.
         use_goal: Whether a goal that is given counts.
         moves_to_goal: Whether the person turns, steps and stoops to where placing is most comfortable.
+        release_height: How high above the goal the hand lets go [m]: fingers under an object give way at the end.
         step: Density of the samples of feasible sets [rad].
         space: Where the object may be offered.
         time_budget: Wall time of the search [s].
@@ -96,6 +97,7 @@ class ExpectedCostFile(Schema):
     regrasp: Annotated[float, Field(ge=1.0, le=100.0)] = 2.0
     use_goal: bool = True
     moves_to_goal: bool = True
+    release_height: Annotated[float, Field(ge=0.0, le=0.5)] = 0.04
     step: Annotated[float, Field(gt=0.01, le=2.0)] = STEP
     space: SpaceFile = SpaceFile()
     time_budget: Annotated[float, Field(gt=0.0, le=3600.0)] = 2.0
@@ -110,7 +112,7 @@ class Situation:
         problem: What is to be decided; its grasps are those some robot grasp leaves free.
         world_from_torso: Level. Shape (4, 4).
         placing: How the object is placed at the goal; None: there is none.
-        world_from_goal: Object pose there, or None. Shape (4, 4).
+        world_from_goal: Object pose there when it is let go, or None. Shape (4, 4).
         boxes: What stands around there.
         blocked: Grasps that no robot grasp leaves free.
     """
@@ -186,7 +188,10 @@ class ExpectedCostScheme:
             )
         grasps = whole.subset(kept)
         torso = levelled(person.world_from_torso)
-        goal = task.world_from_goal if self.content.use_goal else None
+        goal = None
+        if self.content.use_goal and task.world_from_goal is not None:
+            goal = task.world_from_goal.copy()
+            goal[2, 3] += self.content.release_height
         placing: Placing | None = None
         if goal is not None:
             if self.content.moves_to_goal:

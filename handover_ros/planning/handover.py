@@ -91,7 +91,7 @@ class HandoverPlanner:
     ) -> None:
         self.motion = MotionPlanner(robot, scene, catalogue, settings)
         self.schemes = schemes
-        self._grippers = {arm: gripper_points(self.motion.geometry, arm) for arm in robot.arm_names}
+        self.grippers = {arm: gripper_points(self.motion.geometry, arm) for arm in robot.arm_names}
 
     def plan(
         self, request: HandoverRequest, snapshot: CellSnapshot, outdated: Callable[[], bool] = lambda: False
@@ -197,7 +197,7 @@ class HandoverPlanner:
             return found
 
         grasps = np.array(picking.grasps)
-        return RobotSide(grasps, self._grippers[picking.arm], stretches, kinematic, reachable)
+        return RobotSide(grasps, self.grippers[picking.arm], stretches, kinematic, reachable)
 
     def warm_up(self) -> None:
         """Load (at the very first time: compile) what a plan runs, so that no request waits for it."""
@@ -208,15 +208,16 @@ class HandoverPlanner:
         arm = self.motion.robot.arm_names[0]
         robot = RobotSide(
             object_from_gripper=np.eye(4)[None],
-            gripper=self._grippers[arm],
+            gripper=self.grippers[arm],
             stretches=lambda poses: np.zeros((len(poses), 1)),
             kinematic=lambda poses, _: self.motion.reaches[arm].inverse_kinematics.quick_many(poses),
             reachable=lambda pose, index: True,
         )
         person = TrackedPerson(make_transform(np.eye(3), [0.0, 0.0, 1.4]))
         goal = make_transform(np.eye(3), [0.4, 0.0, 1.1])
+        table = np.array([0.4, 0.4, 0.02]), make_transform(np.eye(3), [0.4, 0.0, 0.9])
         with contextlib.suppress(HandoverError):  # whether there is an answer does not matter
-            scheme.offers(HandoverTask(model, np.eye(4), person, goal, robot=robot))
+            scheme.offers(HandoverTask(model, np.eye(4), person, goal, boxes=(table,), robot=robot))
 
     def scheme(self, name: str) -> Scheme:
         """Return a scheme by name; the default one for an empty name.

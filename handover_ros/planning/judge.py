@@ -22,7 +22,7 @@ def judge(
 
     Args:
         scheme: Whose model of the person and whose costs count.
-        task: The object, the person and the goal; of the robot only the gripper is used.
+        task: The object, the person and the goal; of the robot the gripper and its grasps are used.
         world_from_object: Where the object is offered. Shape (4, 4).
         object_from_gripper: How the robot holds it. Shape (4, 4).
 
@@ -32,7 +32,9 @@ def judge(
     """
     if task.robot is None:
         raise BadRequestError(f"what a handover of {task.model.name} costs depends on the gripper, which is not known")
-    robot = replace(task.robot, object_from_gripper=np.ascontiguousarray(object_from_gripper[None]))
+    # The other grasps stay in: which are good at the goal, and what it costs to take it anew, is told by all of them.
+    all_of_them = np.concatenate([object_from_gripper[None], task.robot.object_from_gripper])
+    robot = replace(task.robot, object_from_gripper=all_of_them)
     try:
         situation = scheme.situation(replace(task, robot=robot))
     except InfeasibleError:
