@@ -152,7 +152,7 @@ class ExpectedCostScheme:
             situation.problem,
             None if task.robot is None else RobotBeforeTorso(task.robot, situation.world_from_torso),
             min(task.budget, self.content.time_budget),
-            SearchSettings(),
+            SearchSettings(seed=task.seed),
             self.content.most_offers,
         )
         if not report.candidates:
@@ -337,6 +337,7 @@ def predict(situation: Situation, candidate: Candidate) -> PredictedChoice:
         blocked=situation.blocked + int((~allowed).sum()),
         infeasible=int((allowed & ~(table[:, MEASURE] > 0.0)).sum()),
         goal_infeasible=float(probabilities[~placing].sum()),
+        has_goal=goal.table is not None,
     )
 
 
@@ -401,8 +402,8 @@ def _check_goal(
     place = np.round(torso_from_goal[:3, 3], 2).tolist()
     raise InfeasibleError(
         f"{model.name} cannot be placed at the goal, {place} m from between the person's shoulders: of {len(whole)} "
-        f"grasps the gripper blocks {int((~kept).sum())}, {int((~clear).sum())} are out of the person's reach or joint "
-        "limits there, the rest meet what stands at the goal; move the goal or the person",
+        f"grasps the gripper blocks {int((~kept).sum())}, {int((kept & ~clear).sum())} others are out of the person's "
+        "reach or joint limits there, the rest meet what stands at the goal; move the goal or the person",
         ErrorCode.NOT_FEASIBLE_FOR_PERSON,
     )
 

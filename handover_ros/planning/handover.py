@@ -140,6 +140,7 @@ class HandoverPlanner:
                         stages = self._stages(combination, lead, ready, search)
                         if stages is not None:
                             _refuse_outdated(outdated)
+                            search.picks += picking.found
                             elapsed = time.monotonic() - started
                             return _plan(request, scheme, combination, stages, elapsed, search)
                     if search.out_of_time:
@@ -171,6 +172,7 @@ class HandoverPlanner:
             boxes=tuple((np.array(box.size), box.parent_from_solid) for box in self.motion.boxes),
             robot=self._robot_side(picking, snapshot, search),
             budget=max(0.0, search.deadline - time.monotonic()),
+            seed=self.motion.settings.seed,
         )
 
     def _robot_side(self, picking: Picking | Holding, snapshot: CellSnapshot, search: Search) -> RobotSide:

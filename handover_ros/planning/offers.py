@@ -86,6 +86,7 @@ class HandoverTask:
         boxes: Of the scene, for what is in the person's way at the goal.
         robot: The arm that is to offer it; None: not asked for.
         budget: Wall time [s] a scheme may take.
+        seed: Of random searches.
     """
 
     model: ObjectModel
@@ -96,6 +97,7 @@ class HandoverTask:
     boxes: tuple[Box, ...] = ()
     robot: RobotSide | None = None
     budget: float = float("inf")
+    seed: int = 0
 
 
 class Scheme(Protocol):

@@ -145,6 +145,7 @@ class PredictedChoice:
         blocked: How many grasps the robot's gripper blocks.
         infeasible: How many others no posture of the person reaches.
         goal_infeasible: Probability of a grasp with which the object cannot be placed (OM5 of section 3.6).
+        has_goal: Whether there is a goal.
     """
 
     person_model: str
@@ -154,6 +155,7 @@ class PredictedChoice:
     blocked: int
     infeasible: int
     goal_infeasible: float
+    has_goal: bool = False
 
     @property
     def hand_cost(self) -> float:
@@ -162,10 +164,8 @@ class PredictedChoice:
 
     @property
     def goal_cost(self) -> float:
-        """Expected cost at the goal; NaN without a goal."""
-        if all(np.isnan(grasp.goal_cost) for grasp in self.grasps):
-            return float("nan")
-        return self.expected_cost - self.hand_cost
+        """Expected cost at the goal, that of taking the object anew included; NaN without a goal."""
+        return self.expected_cost - self.hand_cost if self.has_goal else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
