@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from handover_ros import threads
 from handover_ros.arm import inverse_kinematics, reference
 from handover_ros.arm.inverse_kinematics import (
     best_postures,
@@ -356,7 +357,7 @@ def test_the_left_arm_is_the_mirror_image():
 def test_many_poses_in_threads_are_as_one_by_one(monkeypatch):
     monkeypatch.setattr(inverse_kinematics, "LEAST_CHUNK", 7)
     monkeypatch.setattr(inverse_kinematics, "SAMPLES_PER_POSE", 1)  # so that more room is needed
-    monkeypatch.setattr(inverse_kinematics.os, "sched_getaffinity", lambda _: {0, 1, 2})
+    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda _: {0, 1, 2})
     arm = ADULTS["right"]
     rng = np.random.default_rng(4)
     poses = arm.hand_pose(rng.uniform(*arm.limits, size=(50, 7)))
