@@ -33,7 +33,7 @@ from handover_ros.skeleton.tree import Skeleton
 from handover_ros.yaml_file import Schema, Vector3
 
 BODY_MASS = 75.0  # [kg] of a person of whom it is not known
-DRAWN = 5  # most probable grasps whose postures are told
+DRAWN = 4  # most probable grasps whose postures are told
 LEAST_PROBABILITY = 1e-4  # of a grasp worth telling
 Seven = Annotated[tuple[float, ...], Field(min_length=7, max_length=7)]
 
@@ -246,7 +246,7 @@ class ExpectedCostScheme:
 
     def offer(self, situation: Situation, candidate: Candidate, nominal: bool) -> Offer:
         """Return the offer of a candidate."""
-        predicted = predict(situation, candidate)
+        predicted = predict(situation, candidate, DRAWN if nominal else 1)
         world_from_object = situation.world_from_torso @ candidate.torso_from_object
         likely = predicted.grasps[0]
         hands = tuple(likely.hands.values())
@@ -314,8 +314,8 @@ class RobotBeforeTorso:
         return self.robot.reachable(self.world_from_torso @ torso_from_object, robot_grasp)
 
 
-def predict(situation: Situation, candidate: Candidate) -> PredictedChoice:
-    """Return how the person is expected to choose at a candidate."""
+def predict(situation: Situation, candidate: Candidate, drawn: int = DRAWN) -> PredictedChoice:
+    """Return how the person is expected to choose at a candidate, with the postures of the likeliest few grasps."""
     problem = situation.problem
     allowed = problem.free[candidate.robot_grasp]
     table, goal = candidate.table, problem.goal
@@ -324,7 +324,7 @@ def predict(situation: Situation, candidate: Candidate) -> PredictedChoice:
     order = np.argsort(-probabilities, kind="stable")
     likely = [int(g) for g in order if probabilities[g] > 0.0]
     grasps = tuple(
-        _predicted_grasp(situation, candidate, grasp, float(probabilities[grasp]), number < DRAWN)
+        _predicted_grasp(situation, candidate, grasp, float(probabilities[grasp]), number < drawn)
         for number, grasp in enumerate(likely)
         if probabilities[grasp] >= LEAST_PROBABILITY or grasp == likely[0]
     )

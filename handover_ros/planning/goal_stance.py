@@ -15,7 +15,7 @@ from handover_ros.planning.choice import LEAST, LOG_WEIGHT, MEAN, MEASURE, PLAIN
 from handover_ros.planning.facing import object_centre
 from handover_ros.planning.feasible import Taker, statistics
 from handover_ros.planning.grasp_set import GraspSet
-from handover_ros.planning.obstacles import obstacles_of
+from handover_ros.planning.obstacles import boxes_near, obstacles_of
 
 AHEAD = (0.25, 0.32, 0.40, 0.50)  # [m] from the shoulders to the goal, horizontally
 SIDEWAYS = (-0.6, -0.2, 0.2, 0.6)  # [rad] of the goal from straight ahead
@@ -109,13 +109,14 @@ def placing_after_moving(
     free = statistics(taker, grasps, goals, rationality)
     total = free[..., LEAST] + effort[:, None]
     order = np.argsort(total, axis=0, kind="stable")[:TRIED]
+    around = boxes_near(boxes, world_from_goal)
     chosen, pending = order[0].copy(), np.isfinite(total[order[0], np.arange(len(grasps))])
     table = np.where(pending[:, None], 0.0, free[0])
     table[~pending] = NOT_FEASIBLE
     for row in order:
         for stance in np.unique(row[pending]):
             asked = pending & (row == stance)
-            obstacles = obstacles_of(boxes, torsos[stance])
+            obstacles = obstacles_of(around, torsos[stance])
             found = statistics(taker, grasps.subset(asked), goals[stance], rationality, obstacles)[0]
             places = np.flatnonzero(asked)[found[:, MEASURE] > 0.0]
             table[places] = _with_effort(found[found[:, MEASURE] > 0.0], float(effort[stance]), rationality)

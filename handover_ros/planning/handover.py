@@ -191,7 +191,7 @@ class HandoverPlanner:
             return reach.quick_check(world_from_gripper, checker, standing, search.offering)
 
         def stretches(world_from_object: FloatArray) -> FloatArray:
-            return reach.inverse_kinematics.stretches(world_from_object[:, None] @ grasps)
+            return reach.inverse_kinematics.stretches(world_from_object, grasps)
 
         def kinematic(world_from_object: FloatArray, indices: IntArray) -> BoolArray:
             found = reach.inverse_kinematics.quick_many(world_from_object @ grasps[indices])

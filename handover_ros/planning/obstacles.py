@@ -12,7 +12,7 @@ from handover_ros.geometry import FloatArray, invert_transform
 
 FOREARM_RADII = 0.045, 0.028  # [m] at the elbow and at the wrist
 HAND_RADIUS = 0.035  # [m] of a hand that grips, knuckles to palm
-ARM_REACH = 1.2  # [m] from between the shoulders, of anybody
+ARM_REACH = 0.7  # [m] from the grip to the elbow and what lies about it, of anybody
 FOREARM_POINTS, HAND_POINTS = 6, 3
 
 
@@ -48,15 +48,26 @@ class Obstacles:
         return free
 
 
-def _in_reach(size: FloatArray, world_from_box: FloatArray, world_from_torso: FloatArray) -> bool:
-    """Return whether an arm could touch a box at all."""
-    distance = np.linalg.norm(world_from_box[:3, 3] - world_from_torso[:3, 3])
-    return bool(distance - np.linalg.norm(size) / 2.0 <= ARM_REACH)
+def boxes_near(
+    boxes: Sequence[tuple[FloatArray, FloatArray]], world_from_goal: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the boxes that an arm with its hand at a goal could touch at all."""
+    place = world_from_goal[:3, 3]
+    return [(size, pose) for size, pose in boxes if _distance(pose, place) - _radius(size) <= ARM_REACH]
+
+
+def _distance(world_from_box: FloatArray, place: FloatArray) -> float:
+    """Return the distance [m] of a box's centre from a place."""
+    return float(np.linalg.norm(world_from_box[:3, 3] - place))
+
+
+def _radius(size: FloatArray) -> float:
+    """Return the radius [m] of the ball around a box."""
+    return float(np.linalg.norm(size)) / 2.0
 
 
 def obstacles_of(boxes: Sequence[tuple[FloatArray, FloatArray]], world_from_torso: FloatArray) -> Obstacles | None:
-    """Return boxes given as lengths (3,) [m] and world_from_box (4, 4) in the torso frame; None for none in reach."""
-    boxes = [(size, pose) for size, pose in boxes if _in_reach(size, pose, world_from_torso)]
+    """Return boxes given as lengths (3,) [m] and world_from_box (4, 4) in the torso frame; None for none."""
     if not boxes:
         return None
     poses = np.stack([invert_transform(world_from_box) @ world_from_torso for _, world_from_box in boxes])

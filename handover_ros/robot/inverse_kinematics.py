@@ -137,14 +137,22 @@ class InverseKinematics:
         distance = float(self._wrist_distances(np.asarray(world_from_gripper)))
         return bool(self._wrist_range[0] <= distance <= self._wrist_range[1])
 
-    def stretches(self, world_from_gripper: FloatArray) -> FloatArray:
-        """Return how far gripper poses (..., 4, 4) stretch the arm, shoulder to wrist [m]; inf: farther than it can be.
+    def stretches(self, world_from_object: FloatArray, object_from_gripper: FloatArray) -> FloatArray:
+        """Return how far grasps stretch the arm, shoulder to wrist [m], shape (n, r); inf: farther than it can be.
 
         A stretched arm points its gripper away from the shoulder only: how far it can be depends on the direction.
+
+        Args:
+            world_from_object: Shape (n, 4, 4).
+            object_from_gripper: Shape (r, 4, 4).
         """
-        wrists = world_from_gripper[..., :3, :3] @ self._wrist + world_from_gripper[..., :3, 3] - self._shoulder
-        distances = np.sqrt(np.einsum("...i,...i->...", wrists, wrists))
-        outward = np.einsum("...i,...i->...", wrists, world_from_gripper[..., :3, 2]) / np.maximum(distances, 1e-9)
+        rotations = world_from_object[:, :3, :3].reshape(-1, 3)
+        in_object = object_from_gripper[:, :3, :3] @ self._wrist + object_from_gripper[:, :3, 3]
+        wrists = (rotations @ in_object.T).reshape(-1, 3, len(in_object))
+        wrists += (world_from_object[:, :3, 3] - self._shoulder)[:, :, None]
+        axes = (rotations @ object_from_gripper[:, :3, 2].T).reshape(wrists.shape)
+        distances = np.sqrt(np.square(wrists).sum(axis=1))
+        outward = (wrists * axes).sum(axis=1) / np.maximum(distances, 1e-9)
         farthest = self._farthest[_direction_bin(outward)]
         return np.where((distances >= self._wrist_range[0]) & (distances <= farthest), distances, np.inf)
 
