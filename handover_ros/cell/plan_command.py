@@ -294,6 +294,8 @@ def _goal(request: PlanRequest, scene: Scene) -> FloatArray | None:
         raise BadRequestError("--goal and --no-goal exclude each other; give one of them")
     if len(request.goal) != 6 or not np.isfinite(request.goal).all():
         raise BadRequestError(f"--goal: needs six finite numbers, x y z [m] roll pitch yaw [rad], got {request.goal}")
+    if max(map(abs, request.goal[3:])) > 2.0 * np.pi:
+        raise BadRequestError(f"--goal: roll pitch yaw are radians, at most a full turn (6.28), got {request.goal[3:]}")
     return transform_from_xyz_rpy(request.goal[:3], request.goal[3:])
 
 

@@ -41,8 +41,7 @@ from handover_ros.planning import (
     load_schemes,
 )
 from handover_ros.planning.offers import HandoverTask
-from handover_ros.planning.personal import BODY_MASS
-from handover_ros.planning.types import OutdatedSnapshotError
+from handover_ros.planning.types import BODY_MASS, OutdatedSnapshotError
 from handover_ros.robot import RobotModel, Trajectory
 from handover_ros.skeleton.profile import Profile
 from handover_ros.skeleton.stillness import Stillness

@@ -14,10 +14,10 @@ from pydantic import AfterValidator, Field
 from handover_ros.arm.inverse_kinematics import feasible_sets
 from handover_ros.arm.model import SIDES, Arm, Side, arm_of, load_arm
 from handover_ros.ergonomics.arm_costs import ARM_COSTS, Preference, load_arm_cost
-from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError, StaleDataError
+from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError
 from handover_ros.geometry import FloatArray, invert_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
-from handover_ros.planning.choice import MEAN, MEASURE, ChoiceModel, GoalCosts, grasp_probabilities, person_model
+from handover_ros.planning.choice import MEAN, MEASURE, GoalCosts, grasp_probabilities, person_model
 from handover_ros.planning.feasible import STEP, Taker, statistics
 from handover_ros.planning.goal_stance import Box, Placing, placing_after_moving, placing_from
 from handover_ros.planning.grasp_set import GraspSet, grasp_set
@@ -32,7 +32,6 @@ from handover_ros.planning.types import PredictedChoice, PredictedGrasp, Tracked
 from handover_ros.skeleton.tree import Skeleton
 from handover_ros.yaml_file import Schema, Vector3
 
-BODY_MASS = 75.0  # [kg] of a person of whom it is not known
 DRAWN = 4  # most probable grasps whose postures are told
 LEAST_PROBABILITY = 1e-4  # of a grasp worth telling
 Seven = Annotated[tuple[float, ...], Field(min_length=7, max_length=7)]
@@ -169,11 +168,7 @@ class ExpectedCostScheme:
             BadModelError: The profile's skeleton cannot be used.
             InfeasibleError: The object cannot be placed at the goal with any grasp.
         """
-        model, person = task.model, task.person
-        if person is None:
-            raise StaleDataError(
-                f"scheme {self.name!r} needs the person, who is not tracked", ErrorCode.PERSON_NOT_TRACKED
-            )
+        model, person = task.model, task.tracked_person(self.name)
         if task.robot is None or not len(task.robot.object_from_gripper):
             raise BadRequestError(f"scheme {self.name!r} needs the robot's grasps on {model.name}; it has none")
         choice = person_model(task.person_model or self.content.person_model, self.content.rationality)
@@ -226,9 +221,10 @@ class ExpectedCostScheme:
             side = first if first in arms else next(iter(arms))
             arms = {side: arms[side]}
         preference = self._preference(person)
-        mass = BODY_MASS if person.body_mass is None else person.body_mass
         held = model.mass / model.hands
-        costs = {side: load_arm_cost(self.content.cost, arm, preference, mass, held) for side, arm in arms.items()}
+        costs = {
+            side: load_arm_cost(self.content.cost, arm, preference, person.mass, held) for side, arm in arms.items()
+        }
         return Taker(arms, costs, self.content.step)
 
     def _arms(self, person: TrackedPerson) -> dict[Side, Arm]:
@@ -417,6 +413,3 @@ def _refusal(task: HandoverTask, situation: Situation, report: SearchReport) -> 
         f"the gripper blocks {situation.blocked} grasps whatever it does; let the person come nearer, or choose scheme "
         "relative"
     )
-
-
-__all__ = ["OBJECTIVES", "ChoiceModel", "ExpectedCostFile", "ExpectedCostScheme", "Situation", "goal_costs", "predict"]

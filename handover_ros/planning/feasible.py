@@ -12,7 +12,7 @@ from handover_ros.arm.model import Arm, Side
 from handover_ros.ergonomics.arm_costs import ArmCost, SquaredDistance
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
-from handover_ros.planning.choice import LEAST, LOG_WEIGHT, MEAN, MEASURE, PLAIN_MEAN
+from handover_ros.planning.choice import MEASURE
 from handover_ros.planning.grasp_set import GraspSet
 from handover_ros.planning.obstacles import Obstacles
 
@@ -130,6 +130,3 @@ def hand_statistics(
         sets = type(sets)(sets.postures[free], measures[free], first)
         costs = costs[free]
     return weigh(sets, costs, rationality)
-
-
-__all__ = ["LEAST", "LOG_WEIGHT", "MEAN", "MEASURE", "PLAIN_MEAN", "Taker", "hand_statistics", "statistics"]

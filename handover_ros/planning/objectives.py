@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from handover_ros.errors import UnknownNameError
 from handover_ros.geometry import FloatArray
 from handover_ros.planning.choice import MEAN, MEASURE, PLAIN_MEAN, ChoiceModel, GoalCosts, grasp_probabilities
 
@@ -67,14 +66,3 @@ OBJECTIVES: Mapping[str, Objective] = {
     "minimum_mean": minimum_mean,
     "maximum_feasibility": maximum_feasibility,
 }
-
-
-def load_objective(name: str) -> Objective:
-    """Return an objective by name.
-
-    Raises:
-        UnknownNameError: There is no such objective.
-    """
-    if name not in OBJECTIVES:
-        raise UnknownNameError("objective", name, list(OBJECTIVES))
-    return OBJECTIVES[name]

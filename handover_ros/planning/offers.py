@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from handover_ros.errors import ErrorCode, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.goal_stance import Box
@@ -98,6 +99,18 @@ class HandoverTask:
     robot: RobotSide | None = None
     budget: float = float("inf")
     seed: int = 0
+
+    def tracked_person(self, scheme: str) -> TrackedPerson:
+        """Return the person, for the scheme of that name.
+
+        Raises:
+            StaleDataError: Nobody is tracked.
+        """
+        if self.person is None:
+            raise StaleDataError(
+                f"scheme {scheme!r} needs the person, who is not tracked", ErrorCode.PERSON_NOT_TRACKED
+            )
+        return self.person
 
 
 class Scheme(Protocol):

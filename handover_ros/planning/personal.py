@@ -11,11 +11,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
+from handover_ros.arm.model import SIDES
 from handover_ros.ergonomics.costs import COSTS, PreferredPosture
-from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError, StaleDataError
+from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError
 from handover_ros.geometry import FloatArray, invert_transform, make_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.facing import object_corners
+from handover_ros.planning.grasp_set import HALF_TURN, LEAST_APART
 from handover_ros.planning.offers import HandoverTask, Offer, levelled
 from handover_ros.planning.posture_words import posture_words
 from handover_ros.planning.taking_postures import (
@@ -30,13 +32,9 @@ from handover_ros.planning.types import ExpectedPosture, TrackedPerson
 from handover_ros.skeleton.tree import Skeleton
 from handover_ros.yaml_file import Schema
 
-SIDES = ("right", "left")
-BODY_MASS = 75.0  # [kg] of a person of whom it is not known
 START_STEP = 0.2  # [rad] to which the posture before is rounded: a swaying person gets the same answer
 GRID_LENGTH, GRID_ANGLE = 0.05, 0.5  # [m], [rad]
 GRASPS_PER_REGION = 5
-LEAST_APART = 0.15  # [m] between two hands on one object
-HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # the left hand where a region is written for the right
 PEOPLE = 8  # searches that are kept
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -122,11 +120,7 @@ class PersonalScheme:
             BadModelError: The profile's skeleton cannot be used.
             InfeasibleError: The person cannot take the object in front of the body.
         """
-        model, person = task.model, task.person
-        if person is None:
-            raise StaleDataError(
-                f"scheme {self.name!r} needs the person, who is not tracked", ErrorCode.PERSON_NOT_TRACKED
-            )
+        model, person = task.model, task.tracked_person(self.name)
         search = self.search(person)
         order = _hands_in_order(search, person)
         grasps = object_grasps(model, order, self.content.leans)
@@ -187,8 +181,7 @@ class PersonalScheme:
         # The preferred posture (2.11) is the same wherever the person is before.
         if self.content.cost != PreferredPosture.name and person.displacements is not None:
             start = tuple((START_STEP * np.round(np.asarray(person.displacements) / START_STEP)).tolist())
-        mass = BODY_MASS if person.body_mass is None else person.body_mass
-        return _search(person.skeleton, self.content.cost, mass, start, self.zone)
+        return _search(person.skeleton, self.content.cost, person.mass, start, self.zone)
 
     def _offer(
         self,

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from handover_ros.errors import ErrorCode, StaleDataError
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
-from handover_ros.planning.expected_cost import OBJECTIVES, ExpectedCostFile, ExpectedCostScheme
+from handover_ros.planning.expected_cost import ExpectedCostFile, ExpectedCostScheme
 from handover_ros.planning.facing import facings, turned_object
+from handover_ros.planning.objectives import OBJECTIVES
 from handover_ros.planning.offers import HandoverTask, Offer, Scheme, levelled
 from handover_ros.planning.personal import PersonalFile, PersonalScheme
 from handover_ros.resources import config_file, config_names
@@ -101,11 +101,7 @@ class RelativeScheme:
         Raises:
             StaleDataError: The torso pose is not known.
         """
-        person = task.person
-        if person is None:
-            raise StaleDataError(
-                f"scheme {self.name!r} needs the person's torso, which is not tracked", ErrorCode.PERSON_NOT_TRACKED
-            )
+        person = task.tracked_person(self.name)
         frame = levelled(person.world_from_torso) if self.level else person.world_from_torso
         return _offers(task.model, frame, frame[:3, 0], self.position, self.variations)
 

@@ -14,6 +14,7 @@ from handover_ros.robot.trajectory import Trajectory
 from handover_ros.skeleton.tree import Skeleton
 
 ROTATION_TOLERANCE = 2e-3
+BODY_MASS = 75.0  # [kg] of a person of whom it is not known
 FARTHEST = 1000.0  # [m] from the origin: nothing of the cell is farther away
 
 
@@ -72,6 +73,11 @@ class TrackedPerson:
     profile: str = ""
     profile_problem: str = ""
     preference: Preference | None = None
+
+    @property
+    def mass(self) -> float:
+        """Body mass [kg], that of an average adult where it is not known."""
+        return BODY_MASS if self.body_mass is None else self.body_mass
 
     def __post_init__(self) -> None:
         """Check pose, hand and shapes."""

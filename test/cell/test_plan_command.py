@@ -128,6 +128,7 @@ def test_the_goal_is_the_scenes_the_given_one_or_none():
         ({"scene": "moon"}, UnknownNameError, "unknown scene 'moon'"),
         ({"robot": "dog"}, UnknownNameError, "unknown robot 'dog'"),
         ({"goal": (math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)}, BadRequestError, "--goal: needs six finite numbers"),
+        ({"goal": (1.0, 0.0, 0.9, 0.0, 0.0, 90.0)}, BadRequestError, "--goal: roll pitch yaw are radians"),
         ({"goal": (1.0, 0.0, math.inf, 0.0, 0.0, 0.0)}, BadRequestError, "--goal: needs six finite numbers"),
         ({"goal": (1.0, 0.5, 0.9, 0.0, 0.0, 0.0), "no_goal": True}, BadRequestError, "exclude each other"),
         ({"budget": math.nan}, BadRequestError, "time_budget"),

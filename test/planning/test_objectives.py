@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_ros.arm.inverse_kinematics import FeasibleSets, weigh
-from handover_ros.errors import UnknownNameError
 from handover_ros.planning import choice_reference as plain
 from handover_ros.planning.choice import MEAN, ChoiceModel, GoalCosts, person_model
-from handover_ros.planning.objectives import OBJECTIVES, expected_cost, load_objective
+from handover_ros.planning.objectives import OBJECTIVES, expected_cost
 
 REGRASP = 2.0  # costs times 300 must not underflow in the plain loops
 seeds = st.integers(0, 10**6)
@@ -70,7 +69,7 @@ def test_objectives_are_those_of_the_plain_loops(name, seed, goal, model):
     hands, there, allowed = scene(seed, goal)
     expected = plain_values(name, hands, there, allowed, model)
     np.testing.assert_allclose(
-        values_of(load_objective(name), hands, there, allowed, model), expected, rtol=1e-9, atol=1e-9
+        values_of(OBJECTIVES[name], hands, there, allowed, model), expected, rtol=1e-9, atol=1e-9
     )
 
 
@@ -203,9 +202,3 @@ def test_mean_of_an_infeasible_grasp_never_leaks():
     assert np.isinf(table[1, MEAN])
     value = expected_cost(table[None], GoalCosts(), person_model("MN"), np.ones((1, 2), dtype=bool))
     assert value[0, 0] == pytest.approx(1.0)
-
-
-def test_unknown_objectives_list_the_known():
-    """The message names all three."""
-    with pytest.raises(UnknownNameError, match="expected_cost, maximum_feasibility, minimum_mean"):
-        load_objective("luck")
