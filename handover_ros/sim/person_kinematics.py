@@ -12,35 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handover_ros.arm.model import AXES, HAND_AXES, MIRROR
 from handover_ros.geometry import FloatArray, invert_transform, make_transform
 from handover_ros.sim.person_spec import ARM_SLICE, HANDS, PersonSpec
 
-# Axes of the right hand (x along the fingers, z out of the palm) in the zero posture: columns in the torso frame.
-RIGHT_HAND_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
-MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 TORSO_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-RIGHT_ARM_AXES = (
-    (0.0, -1.0, 0.0),
-    (-1.0, 0.0, 0.0),
-    (0.0, 0.0, 1.0),
-    (0.0, -1.0, 0.0),
-    (0.0, 0.0, 1.0),
-    (1.0, 0.0, 0.0),
-    (0.0, -1.0, 0.0),
-)
 
 
 def arm_axes(hand: str) -> FloatArray:
     """Return the rotation axes (7, 3) of an arm in the zero posture, torso frame."""
-    axes = np.array(RIGHT_ARM_AXES)
-    return axes if hand == "right" else axes * [-1.0, 1.0, -1.0]
+    return AXES.copy() if hand == "right" else AXES * [-1.0, 1.0, -1.0]
 
 
 def hand_axes(hand: str) -> FloatArray:
     """Return torso_from_hand rotation (3, 3) in the zero posture."""
     if hand == "right":
-        return RIGHT_HAND_AXES
-    return MIRROR[:3, :3] @ RIGHT_HAND_AXES @ MIRROR[:3, :3]
+        return HAND_AXES
+    return MIRROR[:3, :3] @ HAND_AXES @ MIRROR[:3, :3]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +164,7 @@ class PersonKinematics:
         result[..., 2] = np.arctan2(forward[..., 1], side[..., 1])
         result[..., 3] = elbow[:, None]
         # Wrist: forearm axes (x, y, -fore) against the hand's, brought to the zero posture: Rz(p) Rx(w) Ry(-d).
-        segment = rotation @ RIGHT_HAND_AXES.T
+        segment = rotation @ HAND_AXES.T
         thumb = -sin_elbow[:, None, None] * upper + cos_elbow[:, None, None] * forward
 
         def dot(first: FloatArray, column: int) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from handover_ros.arm.model import JOINT_NAMES
 from handover_ros.errors import BadModelError
 from handover_ros.geometry import FloatArray
 from handover_ros.resources import config_file
@@ -15,15 +16,7 @@ from handover_ros.yaml_file import Schema, Vector3, read_yaml
 
 HANDS = ("right", "left")
 TORSO_JOINTS = ("torso_x", "torso_y", "torso_z", "torso_yaw", "torso_pitch", "torso_roll")
-ARM_JOINTS = (
-    "shoulder_flexion",
-    "shoulder_abduction",
-    "shoulder_rotation",
-    "elbow_flexion",
-    "forearm_pronation",
-    "wrist_flexion",
-    "wrist_deviation",
-)
+ARM_JOINTS = JOINT_NAMES
 ARM_SLICE = {"right": slice(6, 13), "left": slice(13, 20)}
 JOINTS = TORSO_JOINTS + tuple(f"{hand}_{joint}" for hand in HANDS for joint in ARM_JOINTS)
 MARKER_SET = "upper_body_24"
