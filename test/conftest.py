@@ -1,5 +1,8 @@
 """Makes the helper modules of the tests importable and ROS strict about message fields; a second try for graph tests.
 
+Hypothesis draws the same examples in every run, so that a change is judged and not the luck of the draw;
+``--hypothesis-profile=explore`` draws new ones.
+
 Graph tests wait for real processes with bounds of wall time, so a machine that stalls can fail them. Such a test is run
 once more, and the first failure is shown at the end: a test that needs its second try often has a real fault.
 """
@@ -10,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 from _pytest.runner import runtestprotocol
+from hypothesis import settings
 
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -17,6 +21,10 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ["HANDOVER_PROFILES"] = str(Path(tempfile.gettempdir()) / f"handover_profiles_{os.getpid()}")
 for folder in ("mocap", "nodes", "skeleton"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
+
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("explore", deadline=None)
+settings.load_profile("repeatable")
 
 FIRST_FAILURES: list = []
 
