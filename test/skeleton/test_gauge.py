@@ -103,8 +103,8 @@ def test_mean_posture_lies_in_the_middle():
 def test_gauge_directions_are_the_null_space_of_the_reduced_equations(seed, free):
     """Moving the zero of a joint changes no marker to first order once the postures may follow.
 
-    What is left is what the equations charge for the following itself: the joint's own displacement by one, and every ball
-    joint further out by at most two, since its quaternion is written in the turned zero frame.
+    What is left is what the equations charge for the following itself: the joint's own displacement by one, and every
+    ball joint further out by at most two, since its quaternion is written in the turned zero frame.
     """
     frames = 8
     problem = mixed_problem(seed, frames=frames, free=free, missing=0.0)
