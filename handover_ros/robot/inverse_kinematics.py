@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
-from handover_ros.robot import kinematics_kernels
+from handover_ros.robot import closed_form_kernels, kinematics_kernels
 from handover_ros.robot.model import RobotModel
 from handover_ros.threads import in_parts
 
 kernels: Any = kinematics_kernels  # numba's functions carry no types
+closed_form: Any = closed_form_kernels
 
 POSE_TOLERANCE = 1e-6  # norm of position [m] and rotation [rad] error
 ITERATIONS = 60
@@ -23,9 +24,10 @@ NEAR_STARTS = 60  # of them, nearest to the target, tried in order
 ROTATION_LENGTH = 0.3  # [m] that one radian weighs in "nearest"
 REACH_SLACK = 0.02  # of the greatest distance found among the library's configurations
 DIRECTION_BINS = 10  # of the cosine between the gripper's axis and the line from the shoulder
-LEAST_PART = 8  # poses for which another thread pays
+LEAST_PART = 64  # poses for which another thread pays
 QUICK_ITERATIONS = 12  # of ``quick``: whoever gets there is there by then
 QUICK_LIBRARY = 2000  # of the library's configurations that ``quick`` chooses its start from
+FIRST_JOINTS = 16  # displacements of the first joint at which ``quick`` looks
 LIMIT_WEIGHT = 0.3  # weight of the distance from the middle of the limits against closeness to the preferred posture
 
 
@@ -51,6 +53,9 @@ class InverseKinematics:
         self._library_turns = np.ascontiguousarray(self._library_poses[:, :3, :3].reshape(-1, 9))
         # The last joint but one lies on the axis of the last, so it stands still in the gripper frame: the wrist.
         self._home = np.ascontiguousarray(self.arm.home[None])
+        self._places = closed_form.wrist_and_shoulder(*self._chain[:2])
+        ends = self._lower[0], self._upper[0]
+        self._firsts = np.linspace(*ends, 2 * FIRST_JOINTS + 1)[1::2].copy()
         self._shoulder = points[0]
         self._wrist = (np.linalg.inv(tip) @ np.append(points[-2], 1.0))[:3]
         distances = self._wrist_distances(self._library_poses)
@@ -85,46 +90,43 @@ class InverseKinematics:
         return solutions[np.argsort(self.posture_cost(solutions, posture), kind="stable")]
 
     def quick(self, world_from_gripper: FloatArray) -> FloatArray:
-        """Return a solution, shape (1, n) [rad], or none, (0, n), from two starts only: for many poses in a row.
+        """Return a solution, shape (1, n) [rad], or none, (0, n), from few starts only: for many poses in a row.
 
         One or two poses in a hundred that ``solve`` reaches are taken to be out of reach.
 
         Raises:
             BadRequestError: The pose is not a finite rigid transform.
         """
-        target = _checked_pose(world_from_gripper)
-        if not self.within_arm_length(target):
-            return np.empty((0, len(self._lower)))
-        settings = 1, SEPARATION, QUICK_ITERATIONS, POSE_TOLERANCE
-        found = kernels.search(*self._chain, self._lower, self._upper, target, self._home, *settings)
-        if not len(found):
-            near = self._library[np.argmin(self._distances(target, QUICK_LIBRARY))][None]
-            found = kernels.search(*self._chain, self._lower, self._upper, target, near, *settings)
-        return np.asarray(found)
+        found, solutions = self.quick_solutions(_checked_pose(world_from_gripper)[None])
+        return solutions[found]
 
     def quick_many(self, world_from_gripper: FloatArray) -> npt.NDArray[np.bool_]:
         """Return whether ``quick`` finds a solution (m,) for gripper poses (m, 4, 4), taken to be rigid."""
+        return self.quick_solutions(world_from_gripper)[0]
+
+    def quick_solutions(self, world_from_gripper: FloatArray) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+        """Return whether ``quick`` finds a solution (m,), and those (m, n) [rad], for rigid gripper poses (m, 4, 4)."""
         poses = np.ascontiguousarray(world_from_gripper)
-        found = np.zeros(len(poses), dtype=np.bool_)
-        count = QUICK_LIBRARY
-        library = self._library[:count], self._library_places[:count], self._library_turns[:count]
+        found, solutions = np.zeros(len(poses), dtype=np.bool_), np.zeros((len(poses), len(self._lower)))
+        in_parts(len(poses), lambda start, end: self._quick_part(poses, found, solutions, start, end), LEAST_PART)
+        return found, solutions
 
-        def part(start: int, end: int) -> None:
-            kernels.reached(
-                *self._chain,
-                self._lower,
-                self._upper,
-                poses[start:end],
-                self._home[0],
-                *library,
-                ROTATION_LENGTH,
-                QUICK_ITERATIONS,
-                POSE_TOLERANCE,
-                found[start:end],
+    def _quick_part(
+        self, poses: FloatArray, found: npt.NDArray[np.bool_], solutions: FloatArray, start: int, end: int
+    ) -> None:
+        """Fill the answers of ``quick_solutions`` from ``start`` to before ``end``."""
+        limits, settings = (self._lower, self._upper), (QUICK_ITERATIONS, POSE_TOLERANCE)
+        answers = found[start:end], solutions[start:end]
+        home = self._home[0]
+        if self._places is not None:
+            closed_form.solve_many(
+                *self._chain, *limits, self._places, poses[start:end], home, self._firsts, *settings, *answers
             )
-
-        in_parts(len(poses), part, LEAST_PART)
-        return found
+            return
+        library = (each[:QUICK_LIBRARY] for each in (self._library, self._library_places, self._library_turns))
+        kernels.solve_many(
+            *self._chain, *limits, poses[start:end], home, *library, ROTATION_LENGTH, *settings, *answers
+        )
 
     def gripper_pose(self, displacements: FloatArray) -> FloatArray:
         """Return ``world_from_gripper`` (4, 4); the compiled twin of ``RobotModel.gripper_pose``."""

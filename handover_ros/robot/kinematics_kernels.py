@@ -22,6 +22,7 @@ STALL_PROGRESS = 0.999
 STALLED_ITERATIONS = 4
 DAMPING_SHARE = 0.05
 LEAST_DAMPING = 1e-9
+LEAST_PIVOT = 1e-18  # of Cholesky's diagonal: rounding can make it negative
 
 
 @numba.njit(cache=True, nogil=True)
@@ -33,7 +34,6 @@ def forward(
     rotation = np.eye(3)
     position = np.zeros(3)
     origins = np.empty((count, 3))
-    update = np.empty((3, 3))
     for i in range(count):
         for r in range(3):
             direction = 0.0
@@ -46,22 +46,12 @@ def forward(
         x, y, z = jacobian[3, i], jacobian[4, i], jacobian[5, i]
         cosine, sine = np.cos(displacements[i]), np.sin(displacements[i])
         rest = 1.0 - cosine
-        update[0, 0], update[0, 1], update[0, 2] = (
-            cosine + x * x * rest,
-            x * y * rest - z * sine,
-            x * z * rest + y * sine,
-        )
-        update[1, 0], update[1, 1], update[1, 2] = (
-            y * x * rest + z * sine,
-            cosine + y * y * rest,
-            y * z * rest - x * sine,
-        )
-        update[2, 0], update[2, 1], update[2, 2] = (
-            z * x * rest - y * sine,
-            z * y * rest + x * sine,
-            cosine + z * z * rest,
-        )
-        rotation = update @ rotation
+        for c in range(3):
+            a, b, d = rotation[0, c], rotation[1, c], rotation[2, c]
+            along = rest * (x * a + y * b + z * d)
+            rotation[0, c] = cosine * a + sine * (y * d - z * b) + along * x
+            rotation[1, c] = cosine * b + sine * (z * a - x * d) + along * y
+            rotation[2, c] = cosine * d + sine * (x * b - y * a) + along * z
         # The joint's own origin stays where it is: p = o - R r.
         for r in range(3):
             shift = 0.0
@@ -118,6 +108,46 @@ def pose_error(target: FloatArray, pose: FloatArray, error: FloatArray) -> None:
             error[3 + r] = np.pi * (relative[r, best] + (1.0 if r == best else 0.0)) / norm
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _damped_step(
+    jacobian: FloatArray,
+    free: FloatArray,
+    damping: float,
+    error: FloatArray,
+    normal: FloatArray,
+    solved: FloatArray,
+    step: FloatArray,
+) -> None:
+    """Set ``step`` (n,) to J^T (J J^T + damping)^-1 error with the columns of joints that are not free left out.
+
+    ``normal`` (6, 6) and ``solved`` (6,) are workspaces. By Cholesky: for six rows much quicker than LAPACK's call.
+    """
+    count = len(step)
+    for r in range(6):
+        for c in range(r + 1):
+            entry = damping if r == c else 0.0
+            for i in range(count):
+                entry += free[i] * jacobian[r, i] * jacobian[c, i]
+            for k in range(c):
+                entry -= normal[r, k] * normal[c, k]
+            normal[r, c] = np.sqrt(max(entry, LEAST_PIVOT)) if r == c else entry / normal[c, c]
+    for r in range(6):
+        entry = error[r]
+        for k in range(r):
+            entry -= normal[r, k] * solved[k]
+        solved[r] = entry / normal[r, r]
+    for r in range(5, -1, -1):
+        entry = solved[r]
+        for k in range(r + 1, 6):
+            entry -= normal[k, r] * solved[k]
+        solved[r] = entry / normal[r, r]
+    for i in range(count):
+        entry = 0.0
+        for r in range(6):
+            entry += jacobian[r, i] * solved[r]
+        step[i] = free[i] * entry
+
+
 @numba.njit(cache=True, nogil=True)
 def descend(
     axes: FloatArray,
@@ -139,8 +169,8 @@ def descend(
     count = axes.shape[0]
     displacements = np.minimum(np.maximum(start, lower), upper)
     jacobian = np.empty((6, count))
-    error = np.empty(6)
-    free = np.ones(count)
+    error, normal, solved = np.empty(6), np.empty((6, 6)), np.empty(6)
+    free, step = np.ones(count), np.empty(count)
     pose_error(target, forward(axes, points, tip, displacements, jacobian), error)
     size = np.sqrt(np.sum(error * error))
     slow = 0
@@ -149,13 +179,8 @@ def descend(
             break
         damping = DAMPING_SHARE * size * size + LEAST_DAMPING
         free[:] = 1.0
-        step = np.zeros(count)
         for _attempt in range(3):
-            masked = jacobian * free
-            normal = masked @ masked.T
-            for r in range(6):
-                normal[r, r] += damping
-            step = masked.T @ np.linalg.solve(normal, error)
+            _damped_step(jacobian, free, damping, error, normal, solved, step)
             changed = False
             for i in range(count):
                 if free[i] == 0.0:
@@ -219,7 +244,7 @@ def search(
 
 
 @numba.njit(cache=True, nogil=True)
-def reached(
+def solve_many(
     axes: FloatArray,
     points: FloatArray,
     tip: FloatArray,
@@ -234,14 +259,16 @@ def reached(
     iterations: int,
     tolerance: float,
     found: npt.NDArray[np.bool_],
+    solutions: FloatArray,
 ) -> None:
-    """Fill ``found`` (m,) with whether targets (m, 4, 4) are reached from home (n,) or the nearest of a library (s, n).
+    """Fill ``found`` (m,) with whether targets (m, 4, 4) are reached, and ``solutions`` (m, n) [rad] with how.
 
-    ``places`` (s, 3) and ``turns`` (s, 9) are the gripper poses of the library.
+    From two starts: home (n,) and the nearest of a library (s, n), whose gripper poses are ``places`` (s, 3) and
+    ``turns`` (s, 9).
     """
     for index in range(len(targets)):
         target = targets[index]
-        _, size = descend(axes, points, tip, lower, upper, target, home, iterations, tolerance)
+        solution, size = descend(axes, points, tip, lower, upper, target, home, iterations, tolerance)
         if size >= tolerance:
             nearest, least = 0, np.inf
             for row in range(len(places)):
@@ -253,8 +280,9 @@ def reached(
                         distance -= rotation_length * rotation_length * turns[row, 3 * i + j] * target[i, j]
                 if distance < least:
                     nearest, least = row, distance
-            _, size = descend(axes, points, tip, lower, upper, target, library[nearest], iterations, tolerance)
+            solution, size = descend(axes, points, tip, lower, upper, target, library[nearest], iterations, tolerance)
         found[index] = size < tolerance
+        solutions[index] = solution
 
 
 @numba.njit(cache=True, nogil=True)

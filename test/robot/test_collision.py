@@ -148,3 +148,28 @@ def test_a_start_within_the_margin_may_be_left():
     lower = np.array(ROBOT.arm("left").home)
     lower[1] += 0.03
     assert checker.why(ROBOT.configuration({"left": lower})) is not None
+
+
+@given(SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_looking_at_near_pairs_only_changes_no_answer(seed):
+    """Free is what has no problems, pair by pair: also after the object is held anew and pairs were dropped."""
+    rng = np.random.default_rng(seed)
+    boxes = tuple(box(f"box{i}", tuple(rng.uniform(0.05, 0.5, 3)), rng.uniform(-1.0, 1.0, 3)) for i in range(6))
+    held = HeldObject("left", "thing", (box("thing", (0.1, 0.1, 0.3), (0.0, 0.0, 0.1)),))
+    person = person_solids(make_transform(np.eye(3), rng.uniform([0.6, -0.5, 1.2], [1.4, 0.5, 1.5])))
+    arm = ("left", "")[int(rng.integers(2))]
+    checker = CollisionChecker(GEOMETRY, Surroundings(boxes=boxes, held=held, person=person), arm)
+
+    def agrees():
+        for _ in range(5):
+            configuration = HOME.copy() if arm else random_configuration(int(rng.integers(2**31)))
+            left = ROBOT.arm("left")
+            configuration[ROBOT.arm_indices("left")] = rng.uniform(left.lower, left.upper)
+            assert checker.is_free(configuration) == (not checker.problems(configuration))
+        return configuration
+
+    checker.tolerate_start(agrees())
+    checker.ignore_support(agrees())
+    checker.hold([box("thing", (0.1, 0.1, 0.3), tuple(rng.uniform(-0.3, 0.3, 3)))])
+    agrees()
