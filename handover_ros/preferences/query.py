@@ -101,15 +101,20 @@ def region_answer(query: Query, region: str) -> Answer:
 
 
 def posture_answer(
-    query: Query, posture: npt.ArrayLike, covariance: npt.ArrayLike | None = None, region: str = ""
+    query: Query,
+    posture: npt.ArrayLike,
+    covariance: npt.ArrayLike | None = None,
+    region: str = "",
+    spread: float = SPREAD,
 ) -> Answer:
     """Return the answer of a tracked posture: the feasible configurations near it, by their likelihood.
 
     Args:
         query: The offer.
         posture: As tracked (d,) [rad].
-        covariance: Of the tracked posture (d, d) [rad2]; the distance between samples is added.
+        covariance: Of the tracked posture (d, d) [rad2].
         region: Grasp region, if it is known; empty: any.
+        spread: Standard deviation [rad] that is added for what lies between the samples, and for the model.
 
     Raises:
         BadRequestError: Not finite, of another size, or far from everything that was feasible.
@@ -118,15 +123,15 @@ def posture_answer(
     size = query.configurations.shape[1]
     if q.shape != (size,) or not np.isfinite(q).all():
         raise BadRequestError(f"posture: needs {size} finite displacements [rad], got {np.asarray(posture).tolist()}")
-    spread = np.eye(size) * SPREAD**2
+    spreading = np.eye(size) * spread**2
     if covariance is not None:
         given = np.asarray(covariance, dtype=float)
         if given.shape != (size, size) or not np.isfinite(given).all() or np.linalg.eigvalsh(given).min() < -1e-9:
             raise BadRequestError(f"covariance: needs a finite, positive semidefinite ({size}, {size}) matrix [rad2]")
-        spread = spread + given
+        spreading = spreading + given
     places = np.arange(len(query)) if not region else region_answer(query, region).places
     offsets = query.configurations[places] - q
-    squared = np.einsum("ki,ki->k", offsets, np.linalg.solve(spread, offsets.T).T)
+    squared = np.einsum("ki,ki->k", offsets, np.linalg.solve(spreading, offsets.T).T)
     if squared.min() > FARTHEST**2 * size:
         nearest = float(np.linalg.norm(offsets, axis=1).min())
         raise BadRequestError(
