@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handover_ros.errors import ErrorCode, HandoverError, InfeasibleError, UnknownNameError
+from handover_ros.errors import BadRequestError, ErrorCode, HandoverError, InfeasibleError, UnknownNameError
 from handover_ros.geometry import FloatArray, invert_transform, make_transform
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.objects.scene import Scene
 from handover_ros.planning.expected_cost import ExpectedCostScheme
 from handover_ros.planning.explain import explain
 from handover_ros.planning.motion import UPRIGHT_SEARCH, MotionPlanner
+from handover_ros.planning.offered_scheme import OfferedScheme
 from handover_ros.planning.offers import BoolArray, HandoverTask, IntArray, Offer, RobotSide, Scheme
 from handover_ros.planning.picking import Holding, Pick, Picking, held_pick
 from handover_ros.planning.types import (
@@ -116,7 +117,7 @@ class HandoverPlanner:
         settings = self.motion.settings
         search = Search(started + (request.time_budget or settings.time_budget))
         model = self.motion.object_model(request.object_name)
-        scheme = self.scheme(request.scheme)
+        scheme = self.scheme_for(request)
         world_from_object = self.motion.object_pose(snapshot, request.object_name)
         arms = self._arms(request, world_from_object, snapshot)
         refusal: InfeasibleError | None = None
@@ -220,6 +221,20 @@ class HandoverPlanner:
         table = np.array([0.4, 0.4, 0.02]), make_transform(np.eye(3), [0.4, 0.0, 0.9])
         with contextlib.suppress(HandoverError):  # whether there is an answer does not matter
             scheme.offers(HandoverTask(model, np.eye(4), person, goal, boxes=(table,), robot=robot))
+
+    def scheme_for(self, request: HandoverRequest) -> Scheme:
+        """Return the scheme of a request; of one with an offer, that which offers it and nothing else.
+
+        Raises:
+            UnknownNameError: There is no such scheme.
+            BadRequestError: The scheme does not say how a person takes what is offered.
+        """
+        if request.offer is None:
+            return self.scheme(request.scheme)
+        base = self.scheme(request.scheme or "expected_cost")
+        if not isinstance(base, ExpectedCostScheme):
+            raise BadRequestError(f"offer: scheme {base.name!r} cannot tell who takes it how; use expected_cost")
+        return OfferedScheme(base, request.offer)
 
     def scheme(self, name: str) -> Scheme:
         """Return a scheme by name; the default one for an empty name.

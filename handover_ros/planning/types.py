@@ -23,6 +23,24 @@ class OutdatedSnapshotError(StaleDataError):
 
 
 @dataclass(frozen=True, eq=False)
+class ChosenOffer:
+    """A way to offer an object that was chosen before, e.g. from a menu.
+
+    Attributes:
+        world_from_object: Shape (4, 4).
+        object_from_gripper: The robot's grasp, shape (4, 4).
+    """
+
+    world_from_object: FloatArray
+    object_from_gripper: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check the poses."""
+        check_transform(self.world_from_object, "offer: handover_pose")
+        check_transform(self.object_from_gripper, "offer: object_from_gripper")
+
+
+@dataclass(frozen=True, eq=False)
 class HandoverRequest:
     """A handover to be planned.
 
@@ -33,6 +51,7 @@ class HandoverRequest:
         time_budget: Wall time for the search [s]; 0: the planner's default.
         world_from_goal: Object pose to which the person shall bring it, or None. Shape (4, 4).
         person_model: How the person chooses: MN, MP, GN or GP; empty: the scheme's default.
+        offer: What was chosen before; None: the scheme chooses.
     """
 
     object_name: str
@@ -41,6 +60,7 @@ class HandoverRequest:
     time_budget: float = 0.0
     world_from_goal: FloatArray | None = None
     person_model: str = ""
+    offer: ChosenOffer | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers."""
