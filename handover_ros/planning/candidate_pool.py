@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
 from handover_ros.geometry import FloatArray
+from handover_ros.planning import neighbour_kernels
 from handover_ros.planning.choice import grasp_probabilities
 from handover_ros.planning.feasible import statistics
 from handover_ros.planning.problem import (
-    BoolArray,
     Candidate,
     IntArray,
     Problem,
@@ -19,6 +20,8 @@ from handover_ros.planning.problem import (
     good_at_goal,
     ways_of,
 )
+
+kernels: Any = neighbour_kernels  # numba's functions carry no types
 
 # Why poses are refused for the robot's sake.
 BEYOND_ARM = "beyond the robot's arm, or its gripper on the person's side"
@@ -29,22 +32,27 @@ FAR_FROM_FREE = 0.15  # relative
 BATCH = 48  # entries for which the robot is asked together
 
 
+UNKNOWN, NONE = -2, -1  # instead of a robot grasp: not asked yet, and none gets there
+
+
 class CandidatePool:
     """Everything looked at so far, one entry for each pose and each different set of grasps left free."""
 
     def __init__(self, problem: Problem, robot: Robot | None, attempts: int, report: SearchReport) -> None:
         self.problem, self.report = problem, report
         self._robot, self._attempts = robot, attempts
-        self._masks, self._kind = np.unique(problem.free, axis=0, return_inverse=True)
-        self._kind = np.asarray(self._kind).reshape(-1)
-        self._points: list[FloatArray] = []
-        self._poses: list[FloatArray] = []
+        self._masks, kind = np.unique(problem.free, axis=0, return_inverse=True)
+        self._grasps = [np.flatnonzero(kind.reshape(-1) == each) for each in range(len(self._masks))]
+        kinds = len(self._masks)
+        self._points = np.empty((0, 6))
+        self._poses = np.empty((0, 4, 4))
         self._tables: list[FloatArray] = []
-        self._stretches: list[FloatArray] = []
-        self._values = np.empty(0)  # of the entries, row by row (pose, kind)
-        self._strains = np.empty(0)  # of the entries: how far the robot's arm is stretched at least [m]
-        self._known: dict[int, int] = {}  # entry -> robot grasp that reaches it, -1: none does
-        self._kinematic: dict[int, int] = {}  # the same, collisions aside
+        # Of the entries, row by row (pose, kind):
+        self._values = np.empty((0, kinds))
+        self._strains = np.empty((0, kinds))  # how far the robot's arm is stretched at least [m]
+        self._rows = np.empty((0, kinds, attempts), dtype=np.int64)  # robot grasps to be tried, NONE: no more
+        self._kinematic = np.empty((0, kinds), dtype=np.int64)  # robot grasp that gets there, collisions aside
+        self._known = np.empty((0, kinds), dtype=np.int64)  # robot grasp that gets there
 
     def add(self, points: FloatArray) -> None:
         """Look at poses (n, 6)."""
@@ -53,21 +61,39 @@ class CandidatePool:
         report.poses += len(points)
         kept = problem.space.allowed(problem.model, poses, report.refused)
         points, poses = points[kept], poses[kept]
-        ways = ways_of(problem, self._robot, poses)
+        rows, strains = self._ways(poses)
+        within = np.isfinite(strains).any(axis=1)
+        report.refused[BEYOND_ARM] += int((~within).sum())
+        points, poses, rows, strains = points[within], poses[within], rows[within], strains[within]
         table = statistics(problem.taker, problem.grasps, poses, problem.choice.hand_rationality)
         values = problem.objective(table, problem.goal, problem.choice, self._masks)
-        feasible = np.isfinite(values)
-        report.refused["no grasp in the person's reach"] += int((~feasible).all(axis=1).sum())
-        kinds = np.arange(len(self._masks))[:, None]
-        strains = np.where(self._kind == kinds, ways[:, None], np.inf).min(axis=2)
-        report.refused[BEYOND_ARM] += int((feasible & ~np.isfinite(strains)).any(axis=1).sum())
+        report.refused["no grasp in the person's reach"] += int((~np.isfinite(values)).all(axis=1).sum())
         values[~np.isfinite(strains)] = np.inf
-        self._points += list(points)
-        self._poses += list(poses)
+        unknown = np.full(values.shape, UNKNOWN, dtype=np.int64)
+        self._points = np.concatenate([self._points, points])
+        self._poses = np.concatenate([self._poses, poses])
         self._tables += list(table)
-        self._stretches += list(ways)
-        self._values = np.concatenate([self._values, values.ravel()])
-        self._strains = np.concatenate([self._strains, strains.ravel()])
+        self._values = np.concatenate([self._values, values])
+        self._strains = np.concatenate([self._strains, strains])
+        self._rows = np.concatenate([self._rows, rows])
+        self._kinematic = np.concatenate([self._kinematic, unknown])
+        self._known = np.concatenate([self._known, unknown])
+
+    def _ways(self, poses: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the robot grasps to be tried (n, kinds, attempts), and the least stretch of the arm (n, kinds) [m].
+
+        The less a grasp stretches the arm the more likely it gets there.
+        """
+        ways = ways_of(self.problem, self._robot, poses)
+        rows = np.full((len(poses), len(self._grasps), self._attempts), NONE, dtype=np.int64)
+        strains = np.empty((len(poses), len(self._grasps)))
+        for kind, grasps in enumerate(self._grasps):
+            own = ways[:, grasps]
+            order = np.argsort(own, axis=1, kind="stable")[:, : self._attempts]
+            stretches = np.take_along_axis(own, order, axis=1)
+            rows[:, kind, : order.shape[1]] = np.where(np.isfinite(stretches), grasps[order], NONE)
+            strains[:, kind] = stretches[:, 0]
+        return rows, strains
 
     def best(
         self, wanted: int, deadline: float, most_checks: int, apart: float = 0.0, turned: float = 0.0
@@ -77,78 +103,68 @@ class CandidatePool:
         Any two are more than ``apart`` [m] or ``turned`` [rad] away from each other.
         """
         kinds = len(self._masks)
-        points = np.array(self._points)
-        left = np.ones((len(points), kinds), dtype=bool)  # entries that may still be taken
+        left = np.ones(self._values.shape, dtype=bool)  # entries that may still be taken
+        flat, known, kinematic = left.ravel(), self._known.ravel(), self._kinematic.ravel()
         found: list[int] = []
         asked = self.report.robot_checks
         order = self._order(shared=bool(apart))
-        for place, entry in enumerate(order):
-            pose, kind = divmod(entry, kinds)
+        for place, entry in enumerate(order.tolist()):
             if len(found) == wanted:
                 break
-            if not left[pose, kind]:
+            if not flat[entry]:
                 continue
-            if entry not in self._known:
+            pose, kind = divmod(entry, kinds)
+            if known[entry] == UNKNOWN:
                 checks = self.report.robot_checks - asked
                 if checks and time.monotonic() > deadline:
                     continue
-                if entry not in self._kinematic:
+                if kinematic[entry] == UNKNOWN:
                     if checks >= most_checks:
                         continue
-                    self._ask_ahead([each for each in order[place:] if left[divmod(each, kinds)]])
-                self._known[entry] = self._reaching(entry)
-            if self._known[entry] >= 0:
+                    waiting = order[place:]
+                    self._ask_ahead(waiting[flat[waiting] & (kinematic[waiting] == UNKNOWN)][:BATCH])
+                known[entry] = self._reaching(entry)
+            if known[entry] >= 0:
                 found.append(entry)
                 left[pose] = False
                 if apart:
-                    left[_beside(points, points[pose], apart, turned)] = False
+                    kernels.strike(self._points, self._points[pose], apart, turned, -1, left)
             elif apart:  # where the robot cannot be it cannot be nearby either, most probably: look elsewhere first
-                left[_beside(points, points[pose], NEARBY * apart, NEARBY * turned), kind] = False
-        return sorted(found, key=lambda entry: float(self._values[entry]))
+                kernels.strike(self._points, self._points[pose], NEARBY * apart, NEARBY * turned, kind, left)
+        return sorted(found, key=lambda entry: float(self._values.flat[entry]))
 
-    def _ask_ahead(self, entries: list[int]) -> None:
-        """Find out for the first of some entries with which grasp, if any, the robot's arm gets there."""
-        waiting = [entry for entry in entries if entry not in self._kinematic][:BATCH]
-        kinds = len(self._masks)
-        for entry in waiting:
-            self._kinematic[entry] = -1
+    def _ask_ahead(self, entries: IntArray) -> None:
+        """Find out for some entries with which grasp, if any, the robot's arm gets there."""
+        poses, kinds = np.divmod(entries, len(self._masks))
+        self._kinematic[poses, kinds] = NONE
         for attempt in range(self._attempts):
-            rows = {entry: self._rows(entry) for entry in waiting if self._kinematic[entry] < 0}
-            tried = [(entry, row[attempt]) for entry, row in rows.items() if len(row) > attempt]
-            if not tried:
+            rows = self._rows[poses, kinds, attempt]
+            tried = (rows != NONE) & (self._kinematic[poses, kinds] == NONE)
+            if not tried.any():
                 break
-            self.report.robot_checks += len(tried)
-            ok = np.ones(len(tried), dtype=bool)
+            self.report.robot_checks += int(tried.sum())
+            ok = np.ones(int(tried.sum()), dtype=bool)
             if self._robot is not None:
-                poses = np.stack([self._poses[entry // kinds] for entry, _ in tried])
-                ok = self._robot.kinematic(poses, np.array([row for _, row in tried], dtype=np.int64))
-            for (entry, row), reached in zip(tried, ok):
-                if reached:
-                    self._kinematic[entry] = int(row)
+                ok = self._robot.kinematic(self._poses[poses[tried]], rows[tried])
+            self._kinematic[poses[tried], kinds[tried]] = np.where(ok, rows[tried], NONE)
 
-    def _rows(self, entry: int) -> IntArray:
-        """Return the robot grasps of an entry; the less one stretches the arm the more likely it gets there."""
-        pose, kind = divmod(entry, len(self._masks))
-        stretches = np.where(self._kind == kind, self._stretches[pose], np.inf)
-        rows = np.flatnonzero(np.isfinite(stretches))
-        return np.asarray(rows[np.argsort(stretches[rows], kind="stable")])
-
-    def _order(self, shared: bool) -> list[int]:
+    def _order(self, shared: bool) -> IntArray:
         """Return the feasible entries, the best first; shared: in turn with those that do not stretch the arm."""
-        feasible = np.isfinite(self._values)
-        order = np.argsort(self._values, kind="stable")[: int(feasible.sum())]
+        values, strains = self._values.ravel(), self._strains.ravel()
+        order = np.argsort(values, kind="stable")[: int(np.isfinite(values).sum())]
         if not shared or self._robot is None or not len(order):
-            return [int(entry) for entry in order]
-        easy = order[self._strains[order] <= np.median(self._strains[order])]
-        both = np.empty(2 * len(easy), dtype=np.int64)
-        both[::2], both[1::2] = order[: len(easy)], easy
-        return list(dict.fromkeys([*both.tolist(), *order.tolist()]))
+            return order
+        easy = order[strains[order] <= np.median(strains[order])]
+        places = np.empty(len(values), dtype=np.int64)  # in turn; those that do not stretch the arm come twice: earlier
+        places[order] = np.arange(len(order)) + np.minimum(np.arange(len(order)), len(easy))
+        places[easy] = np.minimum(places[easy], 2 * np.arange(len(easy)) + 1)
+        return order[np.argsort(places[order], kind="stable")]
 
     def better_than(self, entry: int, wanted: int) -> FloatArray:
         """Return the poses (n, 6) of the best entries that are better than one, which the robot does not reach."""
-        order = np.argsort(self._values, kind="stable")[:wanted]
-        better = [int(each) for each in order if self._values[each] < self._values[entry]]
-        return np.array([self.point(each) for each in better]).reshape(-1, 6)
+        values = self._values.ravel()
+        order = np.argsort(values, kind="stable")[:wanted]
+        return self._points[order[values[order] < values[entry]] // len(self._masks)]
 
     def best_is_far_from_free(self, deadline: float, most_checks: int) -> bool:
         """Return whether the best the robot reaches is much dearer than the best of all."""
@@ -156,7 +172,7 @@ class CandidatePool:
             return False
         entries = self.best(1, deadline, most_checks)
         least = float(self._values.min())
-        return not entries or float(self._values[entries[0]]) > least + FAR_FROM_FREE * abs(least)
+        return not entries or float(self._values.flat[entries[0]]) > least + FAR_FROM_FREE * abs(least)
 
     def best_is_poor(self, deadline: float, most_checks: int) -> bool:
         """Return whether at the best pose the person will probably take a grasp that is bad at the goal."""
@@ -173,7 +189,7 @@ class CandidatePool:
 
     def _reaching(self, entry: int) -> int:
         """Return the robot grasp with which the robot can be at an entry, free of collisions, -1: it cannot."""
-        row = self._kinematic[entry]
+        row = int(self._kinematic.flat[entry])
         if row < 0:
             self.report.refused[BEYOND_LIMITS] += 1
         elif self._robot is not None:
@@ -191,12 +207,9 @@ class CandidatePool:
         """Return an entry that the robot is known to reach."""
         pose = entry // len(self._masks)
         return Candidate(
-            float(self._values[entry]), self._points[pose], self._poses[pose], self._known[entry], self._tables[pose]
+            float(self._values.flat[entry]),
+            self._points[pose],
+            self._poses[pose],
+            int(self._known.flat[entry]),
+            self._tables[pose],
         )
-
-
-def _beside(points: FloatArray, point: FloatArray, apart: float, turned: float) -> BoolArray:
-    """Return which poses (n, 6) are within a distance [m] and turn [rad] of another (6,)."""
-    steps = np.abs(points - point)
-    turns = np.minimum(steps[:, 3:], 2.0 * np.pi - steps[:, 3:])
-    return np.asarray((steps[:, :3].max(axis=1) <= apart) & (turns.max(axis=1) <= turned))

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
-from handover_ros.arm.inverse_kinematics import feasible_sets
+from handover_ros.arm.inverse_kinematics import best_postures, feasible_sets
 from handover_ros.arm.model import SIDES, Arm, Side, arm_of, load_arm
-from handover_ros.ergonomics.arm_costs import ARM_COSTS, Preference, load_arm_cost
+from handover_ros.ergonomics.arm_costs import ARM_COSTS, Preference, SquaredDistance, load_arm_cost
 from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError
 from handover_ros.geometry import FloatArray, invert_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
@@ -369,14 +369,28 @@ def _best_limbs(
     """Return the limbs (4, 3) [m] of the best posture with a grasp, in the world, by side."""
     limbs: dict[str, FloatArray] = {}
     for side, pose in problem.grasps.hand_poses(grasp).items():
-        arm = problem.taker.arms[side]
-        postures = feasible_sets(arm, (torso_from_object @ pose)[None], problem.taker.step).postures
-        if blocked is not None and len(postures):
-            postures = postures[blocked.free(arm.limbs(postures))]
-        if len(postures):
-            best = postures[int(np.argmin(problem.taker.costs[side].evaluate(postures)))]
-            limbs[side] = transform_points(world_from_torso, arm.limbs(best))
+        found = _best_limb(problem.taker, side, (torso_from_object @ pose)[None], blocked)
+        if found is not None:
+            limbs[side] = transform_points(world_from_torso, found)
     return limbs
+
+
+def _best_limb(taker: Taker, side: Side, torso_from_hand: FloatArray, blocked: Obstacles | None) -> FloatArray | None:
+    """Return the limb (4, 3) [m] of the best posture of one hand at a pose (1, 4, 4), in the torso frame, if any."""
+    arm, cost = taker.arms[side], taker.costs[side]
+    if isinstance(cost, SquaredDistance):  # its minimum is found along the arcs, and is mostly free
+        postures, costs = best_postures(arm, torso_from_hand, cost.preference.neutral, cost.preference.weights)
+        if not np.isfinite(costs[0]):
+            return None
+        limb = arm.limbs(postures)
+        if blocked is None or blocked.free(limb)[0]:
+            return np.asarray(limb[0])
+    postures = feasible_sets(arm, torso_from_hand, taker.step).postures
+    limbs = arm.limbs(postures)
+    if blocked is not None:
+        free = blocked.free(limbs)
+        postures, limbs = postures[free], limbs[free]
+    return np.asarray(limbs[int(np.argmin(cost.evaluate(postures)))]) if len(postures) else None
 
 
 def _check_goal(

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from handover_ros.geometry import FloatArray, invert_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
@@ -34,17 +32,17 @@ def stances(world_from_torso: FloatArray, place: FloatArray) -> tuple[FloatArray
         place: Where to, in the torso frame [m] (3,).
     """
     bearing, distance = float(np.arctan2(place[1], place[0])), float(np.hypot(place[0], place[1]))
-    direction = np.array([np.cos(bearing), np.sin(bearing)])
-    frames, costs = [np.eye(4)], [0.0]
-    for ahead, sideways, stoop in product(AHEAD, SIDEWAYS, STOOP):
-        turn, step = bearing - sideways, max(0.0, distance - ahead)
-        frame = np.eye(4)
-        frame[:3, :3] = Rotation.from_euler("z", turn).as_matrix()
-        frame[:2, 3] = step * direction
-        frame[2, 3] = -stoop
-        frames.append(frame)
-        costs.append(STEP_COST * step + TURN_COST * abs(turn) + STOOP_COST * stoop)
-    return world_from_torso @ np.stack(frames), np.array(costs)
+    ahead, sideways, stoops = (each.ravel() for each in np.meshgrid(AHEAD, SIDEWAYS, STOOP, indexing="ij"))
+    # The first stays where they are.
+    turns, steps, stoops = (
+        np.append(0.0, each) for each in (bearing - sideways, np.maximum(0.0, distance - ahead), stoops)
+    )
+    frames = np.tile(np.eye(4), (len(turns), 1, 1))
+    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(turns)
+    frames[:, 1, 0] = np.sin(turns)
+    frames[:, 0, 1] = -frames[:, 1, 0]
+    frames[:, :3, 3] = np.stack([steps * np.cos(bearing), steps * np.sin(bearing), -stoops], axis=1)
+    return world_from_torso @ frames, STEP_COST * steps + TURN_COST * np.abs(turns) + STOOP_COST * stoops
 
 
 @dataclass(frozen=True, eq=False)

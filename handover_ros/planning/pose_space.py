@@ -108,10 +108,21 @@ class PoseSpace:
 
     def transforms(self, model: ObjectModel, points: FloatArray) -> FloatArray:
         """Return torso_from_object (n, 4, 4) of poses (n, 6)."""
-        rotations = Rotation.from_euler("ZYZ", points[:, 3:]).as_matrix()
-        poses = np.zeros((len(points), 4, 4))
-        poses[:, :3, :3], poses[:, 3, 3] = rotations, 1.0
-        poses[:, :3, 3] = points[:, :3] - rotations @ object_centre(model)
+        (turn, lean, spin), poses = points[:, 3:].T, np.zeros((len(points), 4, 4))
+        cosines, sines = (np.cos(turn), np.cos(lean), np.cos(spin)), (np.sin(turn), np.sin(lean), np.sin(spin))
+        rotations = poses[:, :3, :3]  # Rz(turn) Ry(lean) Rz(spin)
+        rotations[:, 0, 0] = cosines[0] * cosines[1] * cosines[2] - sines[0] * sines[2]
+        rotations[:, 0, 1] = -cosines[0] * cosines[1] * sines[2] - sines[0] * cosines[2]
+        rotations[:, 0, 2] = cosines[0] * sines[1]
+        rotations[:, 1, 0] = sines[0] * cosines[1] * cosines[2] + cosines[0] * sines[2]
+        rotations[:, 1, 1] = -sines[0] * cosines[1] * sines[2] + cosines[0] * cosines[2]
+        rotations[:, 1, 2] = sines[0] * sines[1]
+        rotations[:, 2, 0], rotations[:, 2, 1], rotations[:, 2, 2] = (
+            -sines[1] * cosines[2],
+            sines[1] * sines[2],
+            cosines[1],
+        )
+        poses[:, :3, 3], poses[:, 3, 3] = points[:, :3] - rotations @ object_centre(model), 1.0
         return poses
 
     def allowed(
