@@ -5,7 +5,15 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = "handover_ros"
-NODES = ["sim_node", "mocap_node", "skeleton_node", "calibration_node", "planner_node", "executive_node"]
+NODES = [
+    "sim_node",
+    "mocap_node",
+    "skeleton_node",
+    "calibration_node",
+    "planner_node",
+    "preference_node",
+    "executive_node",
+]
 
 
 def config_data_files():

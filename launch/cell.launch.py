@@ -11,7 +11,15 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
-NODES = ("sim_node", "mocap_node", "skeleton_node", "calibration_node", "planner_node", "executive_node")
+NODES = (
+    "sim_node",
+    "mocap_node",
+    "skeleton_node",
+    "calibration_node",
+    "planner_node",
+    "preference_node",
+    "executive_node",
+)
 STOP_SECONDS = "3"  # grace after SIGINT, then after SIGTERM
 
 

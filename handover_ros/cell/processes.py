@@ -17,7 +17,15 @@ from typing import IO
 from handover_ros.errors import BadRequestError
 
 #: The nodes of the whole cell, in the order in which they are started.
-NODES = ("sim_node", "mocap_node", "skeleton_node", "calibration_node", "planner_node", "executive_node")
+NODES = (
+    "sim_node",
+    "mocap_node",
+    "skeleton_node",
+    "calibration_node",
+    "planner_node",
+    "preference_node",
+    "executive_node",
+)
 
 PR_SET_PDEATHSIG = 1  # prctl(2): which signal a process gets when its parent dies
 #: Grace [s] after each signal; together below the five seconds an operator waits after Ctrl-C.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from datetime import datetime, timezone
 
 import numpy as np
 from handover_msgs.action import ExecuteHandover
@@ -11,20 +12,15 @@ from handover_msgs.msg import (
     CellState,
     GraspChoice,
     GripperCommand,
-    GripperState,
     HandoverPlan,
     Heartbeat,
-    MarkerFrame,
-    MarkerSet,
-    ObjectStates,
 )
 from handover_msgs.srv import PlanHandover, PlanMotion
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.subscription import Subscription
 from rclpy.task import Future
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import Image
 from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -43,23 +39,21 @@ from handover_ros.cell.protocol_types import (
     Show,
     Stop,
 )
-from handover_ros.cell.safety import Freshness, LivenessMonitor
+from handover_ros.cell.safety import LivenessMonitor
 from handover_ros.cell.touch import PullDetector
 from handover_ros.errors import ErrorCode, HandoverError, StaleDataError
 from handover_ros.nodes.convert import (
     image_message,
-    numpy_array,
     plan_from_message,
-    seconds_from_stamp,
     stage_from_message,
     trajectory_message,
 )
+from handover_ros.nodes.executive_view import ExecutiveView
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import (
     DISCOVERY_LIMIT,
     LATCHED,
     POLL_PERIOD,
-    SENSOR_CONSUMER,
     SENSOR_PUBLISHER,
     HandoverNode,
     main_of,
@@ -74,7 +68,6 @@ STOPPED_TIME = 0.5  # [s] of wall time the robot is told to stop before a way ba
 JUMP_BACK = 0.5  # [s] the clock may go back without being called a jump
 NODE_WAIT = 5.0  # [s] of wall time after the goal in which a node not heard so far may still come up
 HANDS_MATTER = (Phase.PRESENTING, Phase.WAITING, Phase.RELEASING, Phase.RETRACTING)
-AT_REST = 0.02  # [rad/s] of an arm that stands still
 BASELINE_SAMPLES = 30  # joint states that settle what "no pull" feels like
 
 PARAMETERS = (
@@ -111,6 +104,7 @@ class Run:
     began: float  # [s] steady wall time
     awaited: set[str]  # required nodes that were silent when the goal came
     plan: HandoverPlan | None = None
+    choice: GraspChoice | None = None  # how the person took the object
     last_feedback: float = 0.0
     last_phase: Phase | None = None
     cancelled: bool = False
@@ -123,15 +117,8 @@ class ExecutiveNode(HandoverNode):
         super().__init__("executive_node", PARAMETERS)
         self.robot = RobotModel.load(self.parameters["robot"])
         self.liveness = LivenessMonitor(tuple(self.parameters["required_nodes"]), self.parameters["lost_after"])
-        self.robot_state = Freshness("robot/joint_states", limit=1.0)
-        self.pull = PullDetector(self.parameters["pull_threshold"], BASELINE_SAMPLES)
-        self.pulled = False
-        self.joints: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}  # arm -> positions, velocities, stamp [s]
-        self.grippers: dict[str, tuple[float, bool]] = {}  # arm -> opening [m], gripping
-        self.objects: dict[str, np.ndarray] = {}  # name -> flat pose
-        self.hand_markers: list[int] = []
-        self.markers: MarkerFrame | None = None
-        self.marker_subscription: Subscription | None = None
+        pull = PullDetector(self.parameters["pull_threshold"], BASELINE_SAMPLES)
+        self.view = ExecutiveView(self, self.robot, pull)
         self.run: Run | None = None
         self.numbers = itertools.count(1)
         self.handovers, self.taken = 0, 0
@@ -146,10 +133,6 @@ class ExecutiveNode(HandoverNode):
         self.state_publisher = self.create_publisher(CellState, "cell/state", LATCHED)
         self.choice_publisher = self.create_publisher(GraspChoice, "handover/grasp_choice", SENSOR_PUBLISHER)
 
-        self.create_subscription(JointState, "robot/joint_states", self.on_joint_state, SENSOR_CONSUMER)
-        self.create_subscription(GripperState, "robot/gripper_state", self.on_gripper_state, SENSOR_CONSUMER)
-        self.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
-        self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
         self.create_subscription(Heartbeat, "cell/heartbeat", self.on_heartbeat, SENSOR_PUBLISHER)
 
         awaiting = ReentrantCallbackGroup()
@@ -171,73 +154,9 @@ class ExecutiveNode(HandoverNode):
 
     # What is observed
 
-    def on_joint_state(self, message: JointState) -> None:
-        """Keep the arms' positions; while the object is offered, feel for a pull."""
-        self.robot_state.sample(monotonic())
-        index = {name: number for number, name in enumerate(message.name)}
-        for arm in self.robot.arm_names:
-            try:
-                columns = [index[name] for name in self.robot.arm(arm).joint_names]
-            except KeyError:
-                continue
-            positions, velocities = np.array(message.position)[columns], np.array(message.velocity)[columns]
-            self.joints[arm] = (positions, velocities, seconds_from_stamp(message.header.stamp))
-            if (run := self.run) is not None and run.protocol.phase is Phase.WAITING and run.plan.arm == arm:
-                self.feel(arm, positions, velocities, np.array(message.effort)[columns])
-
-    def feel(self, arm: str, positions: np.ndarray, velocities: np.ndarray, effort: np.ndarray) -> None:
-        """Feel for the person's pull at the offered object, once the arm has come to rest."""
-        if not self.pull.settled and np.max(np.abs(velocities)) > AT_REST:
-            self.pull.reset()
-            return
-        felt = self.pull.update(self.robot.external_force(arm, positions, effort))
-        self.pulled = felt or (self.pulled and self.pull.pull > 0.5 * self.pull.threshold)
-
-    def on_gripper_state(self, message: GripperState) -> None:
-        """Keep the grippers' openings."""
-        for arm, opening, gripping in zip(message.arms, message.openings, message.gripping, strict=False):
-            self.grippers[arm] = (opening, gripping)
-
-    def on_objects(self, message: ObjectStates) -> None:
-        """Keep where the objects were seen."""
-        try:
-            poses = numpy_array(message.poses, len(message.names), 7)
-        except HandoverError:
-            return
-        self.objects = dict(zip(message.names, poses, strict=True))
-
-    def on_markers(self, message: MarkerFrame) -> None:
-        """Keep the newest marker frame; it is read when needed."""
-        self.markers = message
-
-    def watch_hands(self, watch: bool) -> None:
-        """Receive marker frames only while hands matter: at 240 Hz they are most of this node's work."""
-        if watch and self.marker_subscription is None:
-            self.marker_subscription = self.create_subscription(
-                MarkerFrame, "mocap/markers", self.on_markers, SENSOR_CONSUMER
-            )
-        elif not watch and self.marker_subscription is not None:
-            self.destroy_subscription(self.marker_subscription)
-            self.marker_subscription, self.markers = None, None
-
-    def on_marker_set(self, message: MarkerSet) -> None:
-        """Find the markers on the hands."""
-        self.hand_markers = [number for number, segment in enumerate(message.segment_names) if "hand" in segment]
-
     def on_heartbeat(self, message: Heartbeat) -> None:
         """Note a sign of life."""
         self.liveness.beat(message.node, monotonic())
-
-    def hand_distance(self, object_name: str) -> float:
-        """Return the distance [m] from the object to the nearest hand marker; NaN when either is not seen."""
-        pose, markers = self.objects.get(object_name), self.markers
-        if pose is None or markers is None or not self.hand_markers:
-            return float("nan")
-        positions = numpy_array(markers.positions).reshape(-1, 3)
-        if len(positions) <= max(self.hand_markers):
-            return float("nan")
-        distances = np.linalg.norm(positions[self.hand_markers] - pose[:3], axis=1)
-        return float(np.nanmin(distances)) if np.isfinite(distances).any() else float("nan")
 
     def trouble(self, run: Run, now: float, wall: float) -> tuple[str, ErrorCode]:
         """Return why the handover cannot go on, if so: a node that does not beat, old data, a clock that jumped."""
@@ -249,7 +168,7 @@ class ExecutiveNode(HandoverNode):
         if run.awaited and wall - run.began > NODE_WAIT:
             return f"not running: {', '.join(sorted(run.awaited))}; start it and try again", ErrorCode.NODE_LOST
         fresh_start = run.protocol.phase is Phase.PLANNING and wall - run.began <= NODE_WAIT
-        if not fresh_start and (problem := self.robot_state.problem(wall)):
+        if not fresh_start and (problem := self.view.robot_state.problem(wall)):
             return problem, ErrorCode.STALE_DATA
         if now < self.last_time - JUMP_BACK:
             return f"the clock jumped back by {self.last_time - now:.1f} s", ErrorCode.STALE_DATA
@@ -261,10 +180,10 @@ class ExecutiveNode(HandoverNode):
         trouble, code = self.trouble(run, now, wall)
         self.last_time = now
         arm = run.plan.arm if run.plan else ""
-        positions, velocities, state_time = self.joints.get(arm, (np.empty(0), np.empty(0), float("nan")))
-        opening, gripping = self.grippers.get(arm, (float("nan"), False))
+        positions, velocities, state_time = self.view.joints.get(arm, (np.empty(0), np.empty(0), float("nan")))
+        opening, gripping = self.view.grippers.get(arm, (float("nan"), False))
         name = run.protocol.object_name
-        pose = self.objects.get(name)
+        pose = self.view.objects.get(name)
         return Observation(
             time=now,
             positions=positions,
@@ -272,9 +191,9 @@ class ExecutiveNode(HandoverNode):
             state_time=state_time,
             gripping=gripping,
             opening=opening,
-            pulled=self.pulled,
+            pulled=self.view.pulled,
             object_height=float(pose[2]) if pose is not None else float("nan"),
-            hand_distance=self.hand_distance(name),
+            hand_distance=self.view.hand_distance(name),
             trouble=trouble,
             trouble_code=code,
         )
@@ -294,12 +213,12 @@ class ExecutiveNode(HandoverNode):
             ready_time=self.parameters["ready_time"],
             take_limit=self.parameters["take_limit"],
         )
-        handover_id = f"{now:.3f}-{next(self.numbers)}"
+        # Unlike any of another day too: an answer is counted once for each name.
+        handover_id = f"{datetime.now(timezone.utc):%Y%m%dT%H%M%S}-{now:.3f}-{next(self.numbers)}"
         protocol, wall = HandoverProtocol(request.object_name, settings, now), monotonic()
         run = Run(handover_id, goal, protocol, Future(), wall, set(self.liveness.missing(wall)))
         self.last_time = now
-        self.pulled = False
-        self.pull.reset()
+        self.view.begin_feeling()
         self.stopped_until = float("-inf")
         self.run = run
         try:
@@ -326,7 +245,7 @@ class ExecutiveNode(HandoverNode):
         )
         if run.plan is not None:
             result.plan = run.plan
-            result.choice = self.choice_of(run)
+            result.choice = run.choice or GraspChoice(handover_id=run.handover_id, plan_id=run.plan.plan_id)
         if outcome.taken:
             self.choice_publisher.publish(result.choice)
         self.publish_state("idle", outcome.message)
@@ -338,16 +257,6 @@ class ExecutiveNode(HandoverNode):
             self.get_logger().error(outcome.message)
             run.goal.abort()
         return result
-
-    def choice_of(self, run: Run) -> GraspChoice:
-        """Return how the person took the object, as far as it is known without arm tracking."""
-        assert run.plan is not None
-        choice = GraspChoice(handover_id=run.handover_id, plan_id=run.plan.plan_id)
-        choice.header.stamp = self.get_clock().now().to_msg()
-        choice.header.frame_id = run.plan.header.frame_id
-        choice.object_name = run.plan.object_name
-        choice.handover_pose = run.plan.handover_pose
-        return choice
 
     # Stepping
 
@@ -378,10 +287,13 @@ class ExecutiveNode(HandoverNode):
         changed = protocol.phase is not run.last_phase
         if changed:
             run.last_phase = protocol.phase
-            self.watch_hands(protocol.phase in HANDS_MATTER)
+            self.view.watch_hands(protocol.phase in HANDS_MATTER)
             if protocol.phase is Phase.WAITING:
-                self.pull.reset()
-                self.pulled = False
+                self.view.begin_feeling()
+            self.view.feeling = run.plan.arm if run.plan and protocol.phase is Phase.WAITING else ""
+            if protocol.phase is Phase.RELEASING and run.plan is not None:
+                # Now: both hold the object where it was offered, the person as they chose.
+                run.choice = self.view.choice(run.handover_id, run.plan)
             self.publish_state(protocol.phase.value, protocol.message, run)
         if (changed or wall - run.last_feedback >= FEEDBACK_PERIOD) and not protocol.finished:
             run.last_feedback = wall
@@ -422,11 +334,13 @@ class ExecutiveNode(HandoverNode):
         goal = run.goal.request
         request = PlanHandover.Request(
             object_name=goal.object_name,
-            scheme=goal.scheme or self.parameters["scheme"],
+            scheme=goal.scheme or ("" if goal.has_offer else self.parameters["scheme"]),
             arm=goal.arm,
             person_model=goal.person_model,
             has_goal=goal.has_goal,
             goal=goal.goal,
+            has_offer=goal.has_offer,
+            offer=goal.offer,
         )
         try:
             answer = await self.call(self.plan_client, request, run.protocol.settings.plan_limit)
@@ -499,7 +413,7 @@ class ExecutiveNode(HandoverNode):
         return (
             not missing,
             line,
-            {"phase": phase, "handovers": self.handovers, "taken": self.taken, "pull_N": self.pull.pull},
+            {"phase": phase, "handovers": self.handovers, "taken": self.taken, "pull_N": self.view.pull.pull},
         )
 
     def on_stop(self) -> None:

@@ -7,23 +7,22 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from handover_msgs.msg import ActiveProfile, GripperState, HandoverPlan, ObjectStates, SkeletonState
-from handover_msgs.srv import PlanHandover, PlanMotion
+from handover_msgs.msg import HandoverPlan
+from handover_msgs.srv import PlanHandover, PlanMenu, PlanMotion
 from rclpy.callback_groups import ReentrantCallbackGroup
-from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from handover_ros.ergonomics.anthropometry import HEAVIEST, LIGHTEST
-from handover_ros.errors import BadRequestError, ErrorCode, HandoverError, StaleDataError
-from handover_ros.geometry import FloatArray, rotation_angle, transform_from_pose
-from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
+from handover_ros.errors import BadRequestError, ErrorCode, HandoverError, InfeasibleError
+from handover_ros.geometry import FloatArray, rotation_angle
+from handover_ros.nodes.convert import transform_from_message
+from handover_ros.nodes.convert_belief import chosen_offer
 from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
-from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.parameters import ParameterSpec
+from handover_ros.nodes.planner_view import CellView
 from handover_ros.nodes.runtime import (
     LATCHED,
     POLL_PERIOD,
-    SENSOR_CONSUMER,
     HandoverNode,
     Worker,
     answer,
@@ -37,14 +36,14 @@ from handover_ros.planning import (
     HandoverRequest,
     PersonalScheme,
     PlannerSettings,
-    TrackedPerson,
     load_schemes,
 )
+from handover_ros.planning.expected_cost import ExpectedCostScheme
+from handover_ros.planning.menu import Dish, menu
 from handover_ros.planning.offers import HandoverTask
 from handover_ros.planning.types import BODY_MASS, OutdatedSnapshotError
 from handover_ros.robot import RobotModel, Trajectory
 from handover_ros.skeleton.profile import Profile
-from handover_ros.skeleton.stillness import Stillness
 
 MOVED_DISTANCE, MOVED_ANGLE = 0.08, 0.17  # [m], [rad] of the torso that make a plan be made anew
 FIRST_DATA = 2.0  # [s] of wall time the first samples may take to come in
@@ -52,6 +51,8 @@ STILL_POLL = 0.05  # [s] of wall time between two looks whether the person stand
 PUT_BACK = "put_back"  # PlanMotion.posture: bring the held object back to where it was planned to be taken from
 DEFAULTS = PlannerSettings()
 HANDS = ("", "left", "right")
+PROPOSED, MOST_PROPOSED = 8, 200  # handovers of one object in a menu
+LONGEST_SEARCH = 600.0  # [s]
 AGE = "[s] of wall time after which it is too old to plan with"
 
 PARAMETERS = (
@@ -71,6 +72,12 @@ PARAMETERS = (
     ParameterSpec("still_wait", 10.0, "[s] of ROS time a moving person gets to come to rest", 0.0, 60.0),
     ParameterSpec("body_mass", BODY_MASS, "[kg] of the person, for posture costs with torques", LIGHTEST, HEAVIEST),
     ParameterSpec("dominant_hand", "", "hand the person likes to take things with; empty: not known", choices=HANDS),
+    ParameterSpec(
+        "preference",
+        "expected",
+        "what is planned with of preferences/belief: mean, mode, expected (the mean cost over the belief), or none",
+        choices=("mean", "mode", "expected", "none"),
+    ),
     ParameterSpec("seed", 0, "of the random searches", 0, 2**31 - 1),
 )
 SETTINGS = (
@@ -98,15 +105,7 @@ class PlannerNode(HandoverNode):
         self.planner = HandoverPlanner(robot, load_scene(self.parameters["scene"]), load_catalogue(), schemes, settings)
         self.planner.warm_up()
         self.robot = robot
-        # Latest values with the wall time of their arrival.
-        self.joints: dict[str, tuple[float, FloatArray]] = {}
-        self.objects: dict[str, tuple[float, FloatArray]] = {}
-        self.torso: tuple[float, FloatArray] | None = None
-        self.stillness = Stillness()
-        self.profile: Profile | None = None
-        self.profile_problem = ""
-        self.posture: tuple[float, FloatArray] | None = None  # displacements of the profile's skeleton
-        self.gripping: frozenset[str] = frozenset()
+        self.prepared: Profile | None = None
         self.taken_from: dict[str, FloatArray] = {}  # object -> world_from_object when it was planned to be fetched
         self.numbers = itertools.count(1)
         self.plans, self.refusals, self.last_problem = 0, 0, ""
@@ -114,145 +113,47 @@ class PlannerNode(HandoverNode):
         self.worker = Worker(self)
         self.plan_publisher = self.create_publisher(HandoverPlan, "planner/plan", LATCHED)
         self.visual_publisher = self.create_publisher(MarkerArray, "planner/visual", LATCHED)
-        self.create_subscription(JointState, "robot/joint_states", self.on_joints, SENSOR_CONSUMER)
-        self.create_subscription(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
-        self.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
-        self.create_subscription(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
-        self.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
+        self.view = CellView(self, robot, self.on_person)
         # Reentrant: a request waits for the one before it, while callbacks go on.
         group = ReentrantCallbackGroup()
         self.create_service(PlanMotion, "planner/plan_motion", self.plan_motion, callback_group=group)
+        self.create_service(PlanMenu, "planner/plan_menu", self.plan_menu, callback_group=group)
         self.create_service(PlanHandover, "planner/plan_handover", self.plan_handover, callback_group=group)
         self.say_ready()
 
-    # What is known of the cell
+    # The person
 
-    def on_joints(self, message: JointState) -> None:
-        """Keep the arms' displacements."""
-        values = dict(zip(message.name, message.position, strict=False))
-        for arm in self.robot.arm_names:
-            names = self.robot.arm(arm).joint_names
-            if all(name in values for name in names):
-                self.joints[arm] = monotonic(), np.array([values[name] for name in names])
-
-    def on_grippers(self, message: GripperState) -> None:
-        """Keep which grippers hold something."""
-        self.gripping = frozenset(
-            arm for arm, gripping in zip(message.arms, message.gripping, strict=False) if gripping
-        )
-
-    def on_objects(self, message: ObjectStates) -> None:
-        """Keep the poses of the objects that are seen."""
-        try:
-            poses = numpy_array(message.poses, len(message.names), 7)
-            seen = {
-                name: (monotonic(), transform_from_pose(pose))
-                for name, pose in zip(message.names, poses, strict=True)
-                if not np.isnan(pose).any()
-            }
-        except (BadRequestError, ValueError) as error:
-            self.last_problem = f"objects/states: {error}"
-            return
-        self.objects = {**self.objects, **seen}
-
-    def on_skeleton(self, message: SkeletonState) -> None:
-        """Keep the torso when it is valid."""
-        if not message.valid:
-            return
-        try:
-            torso = transform_from_message(message.torso.pose, "torso")
-            self.torso = monotonic(), torso
-            self.stillness.update(seconds_from_stamp(message.header.stamp), torso)
-            self.keep_posture(message)
-        except BadRequestError as error:
-            self.last_problem = f"human/skeleton_state: {error}"
-
-    def keep_posture(self, message: SkeletonState) -> None:
-        """Keep where the joints of the active profile's skeleton are, if it is that one that is tracked."""
-        if self.profile is None or message.profile_id != self.profile.profile_id:
-            return
-        names = self.profile.skeleton.displacement_names
-        values = dict(zip(message.joint_names, message.displacements, strict=False))
-        displacements = np.array([values.get(name, np.nan) for name in names])
-        if np.isfinite(displacements).all():
-            self.posture = monotonic(), displacements
-
-    def on_profile(self, message: ActiveProfile) -> None:
-        """Plan for this person from now on; one whose profile cannot be used is offered things like anybody."""
-        self.profile, self.profile_problem, self.posture = None, "", None
-        try:
-            self.profile = profile_from_message(message)
-        except HandoverError as error:
-            self.profile_problem = self.last_problem = str(error)
+    def on_person(self) -> None:
+        """Say for whom is planned, and prepare what takes long."""
         self.say_ready()
-        if self.profile is not None:
-            for scheme in self.planner.schemes.values():
-                if isinstance(scheme, PersonalScheme):
-                    for name in self.planner.motion.catalogue:
-                        self.worker.submit(self.prepare, scheme, name, self.profile)
+        profile = self.view.profile
+        if profile is None or profile is self.prepared:
+            return
+        self.prepared = profile
+        for scheme in self.planner.schemes.values():
+            if isinstance(scheme, PersonalScheme):
+                for name in self.planner.motion.catalogue:
+                    self.worker.submit(self.prepare, scheme, name, profile)
 
     def prepare(self, scheme: PersonalScheme, name: str, profile: Profile) -> None:
         """Find the postures of a person with an object before they are asked for; runs in the worker thread."""
-        if profile is not self.profile:
+        if profile is not self.view.profile:
             return  # another one came meanwhile
         try:
-            model, person = self.planner.motion.object_model(name), self.person(np.eye(4), profile, None)
+            model, person = self.planner.motion.object_model(name), self.view.person(np.eye(4), profile, None)
             scheme.offers(HandoverTask(model, np.eye(4), person))
         except HandoverError as error:
             self.last_problem = str(error)
 
     def say_ready(self) -> None:
         """Say what can be planned, and for whom."""
-        if self.profile_problem:
-            self.degraded(f"no scheme of a person's own: {self.profile_problem}")
+        if self.view.profile_problem:
+            self.degraded(f"no scheme of a person's own: {self.view.profile_problem}")
             return
-        person = f" for {self.profile.person or self.profile.profile_id}" if self.profile else ""
+        profile = self.view.profile
+        person = f" for {profile.person or profile.profile_id}" if profile else ""
+        person += ", with what is believed of their preference" if self.view.preference else ""
         self.ready(f"plans for {self.robot.name} with the schemes {', '.join(self.planner.schemes)}{person}")
-
-    def person(self, torso: FloatArray, profile: Profile | None, posture: FloatArray | None) -> TrackedPerson:
-        """Return what is known of the person."""
-        return TrackedPerson(
-            torso,
-            skeleton=profile.skeleton if profile else None,
-            displacements=posture,
-            dominant=self.parameters["dominant_hand"] or None,
-            body_mass=self.parameters["body_mass"],
-            profile=profile.profile_id if profile else "",
-            profile_problem=self.profile_problem,
-        )
-
-    def snapshot(self, needs_person: bool) -> CellSnapshot:
-        """Return the cell as it is now.
-
-        Raises:
-            StaleDataError: Robot or, if needed, person is not known or too old.
-        """
-        now = monotonic()
-        for arm in self.robot.arm_names:
-            limit = self.parameters["joint_state_age"]
-            if arm not in self.joints:
-                raise StaleDataError(f"no robot/joint_states of the {arm} arm yet: is the robot's driver running?")
-            if (age := now - self.joints[arm][0]) > limit:
-                raise StaleDataError(f"robot/joint_states are {age:.1f} s old (limit {limit:g} s): did the robot stop?")
-        torso, limit = self.torso, self.parameters["torso_age"]
-        fresh = torso is not None and now - torso[0] <= limit
-        if needs_person and not fresh:
-            how = "has not been tracked yet" if torso is None else f"was last tracked {now - torso[0]:.1f} s ago"
-            raise StaleDataError(
-                f"the person {how} (limit {limit:g} s): step into view of the cameras", ErrorCode.PERSON_NOT_TRACKED
-            )
-        age_limit = self.parameters["object_age"]
-        profile, posture = self.profile, self.posture
-        known = posture is not None and profile is not None and now - posture[0] <= limit
-        person = None
-        if fresh and torso is not None:
-            person = self.person(torso[1], profile, posture[1] if known and posture is not None else None)
-        return CellSnapshot(
-            arms={arm: positions for arm, (_, positions) in self.joints.items()},
-            objects={name: pose for name, (seen, pose) in self.objects.items() if now - seen <= age_limit},
-            person=person,
-            gripping=self.gripping,
-        )
 
     # Services
 
@@ -269,10 +170,11 @@ class PlannerNode(HandoverNode):
         wanted = HandoverRequest(
             object_name=request.object_name,
             scheme=request.scheme,
-            arm=request.arm,
+            arm=request.offer.arm if request.has_offer else request.arm,
             time_budget=request.time_budget,
             world_from_goal=goal_of(request.goal) if request.has_goal else None,
             person_model=request.person_model,
+            offer=chosen_offer(request.offer) if request.has_offer else None,
         )
         await self.until_first_data()
         give_up = self.seconds_now() + self.parameters["still_wait"]
@@ -302,10 +204,62 @@ class PlannerNode(HandoverNode):
         model = self.planner.motion.object_model(plan.object_name)
         self.visual_publisher.publish(plan_visual(plan, model, snapshot.world_from_torso, stamp))
 
+    async def plan_menu(self, request: PlanMenu.Request, response: PlanMenu.Response) -> Any:
+        """Propose handovers."""
+        return await answer(response, self.fill_menu(request, response), self)
+
+    async def fill_menu(self, request: PlanMenu.Request, response: PlanMenu.Response) -> None:
+        """Look for handovers in the worker thread and fill the response."""
+        if request.count > MOST_PROPOSED or not 0.0 <= request.time_budget <= LONGEST_SEARCH:
+            raise BadRequestError(
+                f"count {request.count}, time_budget {request.time_budget}: at most {MOST_PROPOSED} handovers of an "
+                f"object, in 0 to {LONGEST_SEARCH:g} s"
+            )
+        await self.until_first_data()
+        await self.until_person_is_still(self.seconds_now() + self.parameters["still_wait"])
+        dishes, refusals = await self.worker.submit(self.work_on_menu, request)
+        if not dishes:
+            raise InfeasibleError("; ".join(refusals) or "no object for one hand is seen", ErrorCode.NOT_REACHABLE)
+        stamp = self.get_clock().now().to_msg()
+        number = next(self.numbers)
+        response.menu = [
+            plan_message(dish.plan(), (), f"menu-{number}-{place}", stamp) for place, dish in enumerate(dishes)
+        ]
+        response.success = True
+        response.message = f"{len(dishes)} handovers{'; ' if refusals else ''}{'; '.join(refusals)}"
+
+    def work_on_menu(self, request: PlanMenu.Request) -> tuple[list[Dish], list[str]]:
+        """Return the handovers found, and why there are none of some objects; runs in the worker thread."""
+        scheme = self.planner.scheme(request.scheme or "expected_cost")
+        if not isinstance(scheme, ExpectedCostScheme):
+            raise BadRequestError(f"scheme {scheme.name!r} cannot tell who takes what how; use expected_cost")
+        snapshot = self.view.snapshot(needs_person=True)
+        names = list(request.object_names)
+        if not names:
+            names = [name for name in snapshot.objects if self.planner.motion.object_model(name).hands == 1]
+        budget = request.time_budget or self.parameters["time_budget"]
+        dishes: list[Dish] = []
+        refusals: list[str] = []
+        for name in names:
+            try:
+                dishes += menu(
+                    self.planner,
+                    scheme,
+                    name,
+                    snapshot,
+                    request.count or PROPOSED,
+                    request.arm,
+                    budget / len(names),
+                    int(request.seed),
+                )
+            except InfeasibleError as error:
+                refusals.append(str(error))
+        return dishes, refusals
+
     async def until_first_data(self) -> None:
         """Give a node that just started a moment to hear of the robot and the person."""
         for _ in range(round(FIRST_DATA / POLL_PERIOD)):
-            if self.torso is not None and self.objects and len(self.joints) == len(self.robot.arm_names):
+            if self.view.torso is not None and self.view.objects and len(self.view.joints) == len(self.robot.arm_names):
                 return
             await self.pause(POLL_PERIOD)
 
@@ -313,9 +267,9 @@ class PlannerNode(HandoverNode):
         """Let a person who moves come to rest before planning for where they stand, until ``give_up`` [s] at most."""
         wall = monotonic()
         while (
-            self.torso is not None
-            and wall - self.torso[0] <= self.parameters["torso_age"]
-            and not self.stillness.still()
+            self.view.torso is not None
+            and wall - self.view.torso[0] <= self.parameters["torso_age"]
+            and not self.view.stillness.still()
             and self.seconds_now() < give_up
         ):
             await self.pause(STILL_POLL)
@@ -328,10 +282,10 @@ class PlannerNode(HandoverNode):
         """
         scheme = self.planner.scheme(wanted.scheme)
         self.planner.motion.object_model(wanted.object_name)
-        snapshot = self.snapshot(scheme.needs_person)
+        snapshot = self.view.snapshot(scheme.needs_person)
 
         def outdated() -> bool:
-            now, then = self.torso, snapshot.world_from_torso
+            now, then = self.view.torso, snapshot.world_from_torso
             if not (patient and scheme.needs_person) or now is None or then is None:
                 return False
             moved = np.linalg.norm(now[1][:3, 3] - then[:3, 3])
@@ -363,22 +317,23 @@ class PlannerNode(HandoverNode):
             place = self.taken_from.get(name, motion.scene.placements.get(name))
             if place is None:
                 raise BadRequestError(f"posture {PUT_BACK!r} needs held_object, and a plan that fetched it before")
-            return motion.put_back(arm.name, name, place, self.snapshot(needs_person=False))
+            return motion.put_back(arm.name, name, place, self.view.snapshot(needs_person=False))
         goal = arm.posture(request.posture) if request.posture else np.array(request.displacements)
-        return motion.motion(arm.name, goal, self.snapshot(needs_person=False), request.held_object)
+        return motion.motion(arm.name, goal, self.view.snapshot(needs_person=False), request.held_object)
 
     def diagnose(self) -> tuple[bool, str, dict[str, object]]:
         """Report what is known and how planning went."""
-        now, torso = monotonic(), self.torso
+        now, torso = monotonic(), self.view.torso
         values = {
             "plans": self.plans,
             "refusals": self.refusals,
-            "profile": self.profile.profile_id if self.profile else "",
-            "last_problem": self.last_problem,
+            "profile": self.view.profile.profile_id if self.view.profile else "",
+            "last_problem": self.last_problem or self.view.last_problem,
+            "preference": "believed" if self.view.preference else "generic",
             "torso_age_s": now - torso[0] if torso else float("nan"),
-            "objects": len(self.objects),
+            "objects": len(self.view.objects),
         }
-        missing = [arm for arm in self.robot.arm_names if arm not in self.joints]
+        missing = [arm for arm in self.robot.arm_names if arm not in self.view.joints]
         return not missing, "no robot/joint_states" if missing else "ready", values
 
 

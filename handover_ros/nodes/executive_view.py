@@ -1,0 +1,198 @@
+"""What the executive observes: the robot's arms and grippers, the objects, the person's hands and how they take."""
+
+from __future__ import annotations
+
+import numpy as np
+from handover_msgs.msg import (
+    ActiveProfile,
+    GraspChoice,
+    GripperState,
+    HandoverPlan,
+    MarkerFrame,
+    MarkerSet,
+    ObjectStates,
+    SkeletonState,
+)
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+
+from handover_ros.cell.safety import Freshness
+from handover_ros.cell.touch import PullDetector
+from handover_ros.errors import HandoverError, StaleDataError
+from handover_ros.geometry import invert_transform, transform_from_pose
+from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
+from handover_ros.nodes.convert_belief import fill_choice
+from handover_ros.nodes.convert_profile import profile_from_message
+from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, monotonic
+from handover_ros.objects import load_catalogue
+from handover_ros.preferences.observed import observed_choice
+from handover_ros.robot.model import RobotModel
+from handover_ros.skeleton.profile import Profile
+
+AT_REST = 0.02  # [rad/s] of an arm that stands still
+POSTURE_AGE = 0.5  # [s] of ROS time by which the tracked posture may be older than the moment of taking
+
+
+class ExecutiveView:
+    """Keeps what the streams of a cell said last.
+
+    Args:
+        node: Owner of the subscriptions.
+        robot: The robot.
+        pull: Feels for the person's pull.
+    """
+
+    def __init__(self, node: HandoverNode, robot: RobotModel, pull: PullDetector) -> None:
+        self.node, self.robot, self.pull = node, robot, pull
+        self.catalogue = load_catalogue()
+        self.robot_state = Freshness("robot/joint_states", limit=1.0)
+        self.feeling = ""  # arm at which a pull is felt for
+        self.pulled = False
+        self.joints: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}  # arm -> positions, velocities, stamp [s]
+        self.grippers: dict[str, tuple[float, bool]] = {}  # arm -> opening [m], gripping
+        self.objects: dict[str, np.ndarray] = {}  # name -> flat pose
+        self.hand_markers: list[int] = []
+        self.profile: Profile | None = None
+        self.markers: MarkerFrame | None = None
+        self.skeleton: SkeletonState | None = None
+        self.hands: list[Subscription] = []
+        node.create_subscription(JointState, "robot/joint_states", self.on_joint_state, SENSOR_CONSUMER)
+        node.create_subscription(GripperState, "robot/gripper_state", self.on_gripper_state, SENSOR_CONSUMER)
+        node.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
+        node.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
+        node.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
+
+    def on_joint_state(self, message: JointState) -> None:
+        """Keep the arms' positions; while the object is offered, feel for a pull."""
+        self.robot_state.sample(monotonic())
+        index = {name: number for number, name in enumerate(message.name)}
+        for arm in self.robot.arm_names:
+            try:
+                columns = [index[name] for name in self.robot.arm(arm).joint_names]
+            except KeyError:
+                continue
+            positions, velocities = np.array(message.position)[columns], np.array(message.velocity)[columns]
+            self.joints[arm] = (positions, velocities, seconds_from_stamp(message.header.stamp))
+            if self.feeling == arm:
+                self.feel(arm, positions, velocities, np.array(message.effort)[columns])
+
+    def feel(self, arm: str, positions: np.ndarray, velocities: np.ndarray, effort: np.ndarray) -> None:
+        """Feel for the person's pull at the offered object, once the arm has come to rest."""
+        if not self.pull.settled and np.max(np.abs(velocities)) > AT_REST:
+            self.pull.reset()
+            return
+        felt = self.pull.update(self.robot.external_force(arm, positions, effort))
+        self.pulled = felt or (self.pulled and self.pull.pull > 0.5 * self.pull.threshold)
+
+    def begin_feeling(self) -> None:
+        """Forget what was felt."""
+        self.pulled = False
+        self.pull.reset()
+
+    def on_gripper_state(self, message: GripperState) -> None:
+        """Keep the grippers' openings."""
+        for arm, opening, gripping in zip(message.arms, message.openings, message.gripping, strict=False):
+            self.grippers[arm] = (opening, gripping)
+
+    def on_objects(self, message: ObjectStates) -> None:
+        """Keep where the objects were seen."""
+        try:
+            poses = numpy_array(message.poses, len(message.names), 7)
+        except HandoverError:
+            return
+        self.objects = dict(zip(message.names, poses, strict=True))
+
+    def on_profile(self, message: ActiveProfile) -> None:
+        """Keep who is tracked; the answers of one whose profile cannot be used are not known."""
+        try:
+            self.profile = profile_from_message(message)
+        except HandoverError:
+            self.profile = None
+
+    def on_markers(self, message: MarkerFrame) -> None:
+        """Keep the newest marker frame; it is read when needed."""
+        self.markers = message
+
+    def on_skeleton(self, message: SkeletonState) -> None:
+        """Keep the newest state of the person; it is read when needed."""
+        self.skeleton = message
+
+    def watch_hands(self, watch: bool) -> None:
+        """Receive the person's streams only while hands matter: at 240 Hz they are most of this node's work."""
+        node = self.node
+        if watch and not self.hands:
+            self.hands = [
+                node.create_subscription(MarkerFrame, "mocap/markers", self.on_markers, SENSOR_CONSUMER),
+                node.create_subscription(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER),
+            ]
+        elif not watch and self.hands:
+            for subscription in self.hands:
+                node.destroy_subscription(subscription)
+            self.hands, self.markers, self.skeleton = [], None, None
+
+    def on_marker_set(self, message: MarkerSet) -> None:
+        """Find the markers on the hands."""
+        self.hand_markers = [number for number, segment in enumerate(message.segment_names) if "hand" in segment]
+
+    def hand_distance(self, object_name: str) -> float:
+        """Return the distance [m] from the object to the nearest hand marker; NaN when either is not seen."""
+        pose, markers = self.objects.get(object_name), self.markers
+        if pose is None or markers is None or not self.hand_markers:
+            return float("nan")
+        positions = numpy_array(markers.positions).reshape(-1, 3)
+        if len(positions) <= max(self.hand_markers):
+            return float("nan")
+        distances = np.linalg.norm(positions[self.hand_markers] - pose[:3], axis=1)
+        return float(np.nanmin(distances)) if np.isfinite(distances).any() else float("nan")
+
+    def choice(self, handover_id: str, plan: HandoverPlan) -> GraspChoice:
+        """Return how the person holds the object at this moment, from markers and tracking.
+
+        What is not known stays empty; the log says why.
+        """
+        choice = GraspChoice(handover_id=handover_id, plan_id=plan.plan_id, object_name=plan.object_name)
+        choice.header.stamp = self.node.get_clock().now().to_msg()
+        choice.header.frame_id = plan.header.frame_id
+        choice.handover_pose, choice.object_from_gripper = plan.handover_pose, plan.object_from_gripper
+        choice.arm = plan.arm
+        for unknown in (choice.object_from_hand, choice.torso):
+            unknown.orientation.w = 0.0
+        try:
+            self._fill(choice)
+        except HandoverError as error:
+            self.node.get_logger().info(f"how {plan.object_name} was taken is not known: {error}")
+        return choice
+
+    def _fill(self, choice: GraspChoice) -> None:
+        """Fill in hand, region and posture.
+
+        Raises:
+            HandoverError: They are not known.
+        """
+        profile, state = self.profile, self.skeleton
+        if profile is None:
+            raise StaleDataError("no profile is active")
+        choice.profile_id = profile.profile_id
+        if state is None or not state.valid or state.profile_id != profile.profile_id:
+            raise StaleDataError("the person is not tracked with the active profile")
+        age = seconds_from_stamp(choice.header.stamp) - seconds_from_stamp(state.header.stamp)
+        if abs(age) > POSTURE_AGE:
+            raise StaleDataError(f"the tracked posture is {age:.2f} s old")
+        world_from_torso = transform_from_message(state.torso.pose, "torso")
+        pose = self.objects.get(choice.object_name)
+        world_from_object = transform_from_message(choice.handover_pose, "handover_pose")
+        if pose is not None and np.isfinite(pose).all():
+            world_from_object = transform_from_pose(pose)
+        names = profile.skeleton.displacement_names
+        values = dict(zip(state.joint_names, state.displacements, strict=False))
+        displacements = np.array([values.get(name, np.nan) for name in names])
+        covariance = None
+        if tuple(state.joint_names) == tuple(names) and len(state.covariance) == len(names) ** 2:
+            covariance = numpy_array(state.covariance, len(names), len(names))
+        model = self.catalogue[choice.object_name]
+        torso_from_object = invert_transform(world_from_torso) @ world_from_object
+        fill_choice(
+            choice,
+            observed_choice(model, torso_from_object, profile.skeleton, displacements, covariance),
+            world_from_torso,
+        )
