@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from handover_ros.arm.inverse_kinematics import feasible_sets, weigh, weigh_quadratic_segments
+from handover_ros.arm.inverse_kinematics import FeasibleSets, feasible_sets, weigh, weigh_quadratic_segments
 from handover_ros.arm.model import Arm, Side
 from handover_ros.ergonomics.arm_costs import ArmCost, SquaredDistance
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
 from handover_ros.planning.choice import MEASURE
 from handover_ros.planning.grasp_set import GraspSet
-from handover_ros.planning.obstacles import Obstacles
+from handover_ros.planning.obstacles import BoolArray, IntArray, Obstacles, free_each
 
 STEP = 0.25  # [rad] in configuration space that a sample of a feasible set stands for
 
@@ -83,6 +83,46 @@ def statistics(
     return result
 
 
+def statistics_each(
+    taker: Taker,
+    grasps: GraspSet,
+    torso_from_object: FloatArray,
+    rationality: float,
+    obstacles: Sequence[Obstacles] = (),
+    which: IntArray | None = None,
+) -> FloatArray:
+    """Return the statistics (grasps, 5) of grasps, each at an object pose of its own (grasps, 4, 4).
+
+    Args:
+        taker: The person.
+        grasps: On the object.
+        torso_from_object: The pose for each grasp, each in the torso frame there.
+        rationality: As for ``statistics``.
+        obstacles: The same boxes in several torso frames; none: nothing is in the way.
+        which: Place in ``obstacles`` of each grasp's (grasps,).
+    """
+    result: FloatArray | None = None
+    for number, side in enumerate(grasps.sides):
+        takes = grasps.hands[:, number] >= 0
+        own = np.tile(NO_HAND, (len(grasps), 1))
+        hands = torso_from_object[takes] @ grasps.poses[number][grasps.hands[takes, number]]
+        arm, sets = taker.arms[side], feasible_sets(taker.arms[side], hands, taker.step)
+        costs = taker.costs[side].evaluate(sets.postures)
+        if obstacles and which is not None and len(costs):
+            sample_of = np.repeat(which[takes], np.diff(sets.first))
+            sets, costs = _kept(sets, costs, free_each(obstacles, sample_of, arm.limbs(sets.postures)))
+        own[takes] = weigh(sets, costs, rationality)
+        result = own if result is None else _together(result, own)
+    assert result is not None
+    return result
+
+
+def _kept(sets: FeasibleSets, costs: FloatArray, free: BoolArray) -> tuple[FeasibleSets, FloatArray]:
+    """Return feasible sets and the costs of their samples (total,) without those that are not free (total,)."""
+    first = np.concatenate([[0], np.cumsum(free)])[sets.first]
+    return FeasibleSets(sets.postures[free], sets.measures[free], first), costs[free]
+
+
 def _side_statistics(
     taker: Taker,
     side: Side,
@@ -123,10 +163,7 @@ def hand_statistics(
     """Return the statistics (n, 5) of the feasible sets of one hand at poses (n, 4, 4), from samples of them."""
     arm, cost = taker.arms[side], taker.costs[side]
     sets = feasible_sets(arm, torso_from_hand, taker.step)
-    costs, measures = cost.evaluate(sets.postures), sets.measures
+    costs = cost.evaluate(sets.postures)
     if obstacles is not None and len(sets.postures):
-        free = obstacles.free(arm.limbs(sets.postures))
-        first = np.concatenate([[0], np.cumsum(free)])[sets.first]
-        sets = type(sets)(sets.postures[free], measures[free], first)
-        costs = costs[free]
+        sets, costs = _kept(sets, costs, obstacles.free(arm.limbs(sets.postures)))
     return weigh(sets, costs, rationality)

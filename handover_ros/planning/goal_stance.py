@@ -11,7 +11,7 @@ from handover_ros.geometry import FloatArray, invert_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.choice import LEAST, LOG_WEIGHT, MEAN, MEASURE, PLAIN_MEAN
 from handover_ros.planning.facing import object_centre
-from handover_ros.planning.feasible import Taker, statistics
+from handover_ros.planning.feasible import Taker, statistics, statistics_each
 from handover_ros.planning.grasp_set import GraspSet
 from handover_ros.planning.obstacles import boxes_near, obstacles_of
 
@@ -107,21 +107,22 @@ def placing_after_moving(
     free = statistics(taker, grasps, goals, rationality)
     total = free[..., LEAST] + effort[:, None]
     order = np.argsort(total, axis=0, kind="stable")[:TRIED]
-    around = boxes_near(boxes, world_from_goal)
+    around = obstacles_of(boxes_near(boxes, world_from_goal), np.eye(4))
     chosen, pending = order[0].copy(), np.isfinite(total[order[0], np.arange(len(grasps))])
     table = np.where(pending[:, None], 0.0, free[0])
     table[~pending] = NOT_FEASIBLE
     for row in order:
-        for stance in np.unique(row[pending]):
-            asked = pending & (row == stance)
-            obstacles = obstacles_of(around, torsos[stance])
-            found = statistics(taker, grasps.subset(asked), goals[stance], rationality, obstacles)[0]
-            places = np.flatnonzero(asked)[found[:, MEASURE] > 0.0]
-            table[places] = _with_effort(found[found[:, MEASURE] > 0.0], float(effort[stance]), rationality)
-            chosen[places] = stance
-            pending[places] = False
         if not pending.any():
             break
+        asked = np.flatnonzero(pending)
+        used, which = np.unique(row[asked], return_inverse=True)
+        obstacles = [] if around is None else [around.seen_from(torsos[stance]) for stance in used]
+        found = statistics_each(taker, grasps.subset(pending), goals[row[asked]], rationality, obstacles, which)
+        can = found[:, MEASURE] > 0.0
+        places = asked[can]
+        table[places] = _with_effort(found[can], effort[row[places]], rationality)
+        chosen[places] = row[places]
+        pending[places] = False
     table[pending] = NOT_FEASIBLE
     return Placing(table, torsos[chosen])
 
@@ -130,10 +131,10 @@ def placing_after_moving(
 NOT_FEASIBLE = np.array([0.0, -np.inf, np.inf, np.inf, np.inf])
 
 
-def _with_effort(table: FloatArray, effort: float, rationality: float) -> FloatArray:
-    """Return statistics with a cost added to every configuration."""
+def _with_effort(table: FloatArray, effort: FloatArray, rationality: float) -> FloatArray:
+    """Return statistics (n, 5) with a cost (n,) added to every configuration."""
     result = table.copy()
-    result[:, [MEAN, PLAIN_MEAN, LEAST]] += effort
+    result[:, [MEAN, PLAIN_MEAN, LEAST]] += effort[:, None]
     if np.isfinite(rationality):
         result[:, LOG_WEIGHT] -= rationality * effort
     return result

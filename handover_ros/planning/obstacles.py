@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray, invert_transform
+from handover_ros.planning import obstacle_kernels
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+kernels: Any = obstacle_kernels  # numba's functions carry no types
 
 FOREARM_RADII = 0.045, 0.028  # [m] at the elbow and at the wrist
 HAND_RADIUS = 0.035  # [m] of a hand that grips, knuckles to palm
@@ -28,24 +34,41 @@ class Obstacles:
     box_from_torso: FloatArray
     half: FloatArray
 
-    def free(self, limbs: FloatArray) -> npt.NDArray[np.bool_]:
+    def seen_from(self, torso_from_other: FloatArray) -> Obstacles:
+        """Return the boxes in another frame, given by its pose (4, 4)."""
+        return Obstacles(self.box_from_torso @ torso_from_other, self.half)
+
+    def free(self, limbs: FloatArray) -> BoolArray:
         """Return whether forearm and hand of limbs (n, 4, 3) - shoulder, elbow, wrist, grip [m] - are outside (n,).
 
         They are balls along the bones, so near each other that no box of the thickness of a shelf fits between.
         """
-        elbow, wrist, grip = limbs[:, 1], limbs[:, 2], limbs[:, 3]
-        along = np.linspace(0.0, 1.0, FOREARM_POINTS)[:, None, None]
-        fore = elbow + along * (wrist - elbow)
-        along = np.linspace(1.0 / HAND_POINTS, 1.0, HAND_POINTS)[:, None, None]
-        hand = wrist + along * (grip - wrist)
-        radii = np.append(np.linspace(*FOREARM_RADII, FOREARM_POINTS), np.full(HAND_POINTS, HAND_RADIUS))
-        points = np.concatenate([fore, hand])
-        free = np.ones(len(limbs), dtype=bool)
-        for pose, half in zip(self.box_from_torso, self.half):
-            outside = np.abs(points @ pose[:3, :3].T + pose[:3, 3]) - half
-            distance = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)  # inside: 0
-            free &= (distance >= radii[:, None]).all(axis=0)
-        return free
+        return free_each((self,), np.zeros(len(limbs), dtype=np.int64), limbs)
+
+
+def free_each(obstacles: Sequence[Obstacles], which: IntArray, limbs: FloatArray) -> BoolArray:
+    """Return what ``Obstacles.free`` tells of limbs (n, 4, 3) [m], each with obstacles of its own, shape (n,).
+
+    Args:
+        obstacles: The same boxes, as seen from several torso frames.
+        which: Place in ``obstacles`` of each limb's (n,).
+        limbs: Shoulder, elbow, wrist and grip, each in its torso frame.
+    """
+    outside = np.ones(len(limbs), dtype=bool)
+    boxes = np.stack([each.box_from_torso for each in obstacles])
+    kernels.free(np.ascontiguousarray(limbs), which, boxes, obstacles[0].half, *_BALLS, outside)
+    return outside
+
+
+def _balls() -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return at which joint the bone of each ball begins, where along it the ball is, and its radius [m]."""
+    bones = np.repeat([1, 2], [FOREARM_POINTS, HAND_POINTS])
+    shares = [np.linspace(0.0, 1.0, FOREARM_POINTS), np.linspace(1.0 / HAND_POINTS, 1.0, HAND_POINTS)]
+    radii = [np.linspace(*FOREARM_RADII, FOREARM_POINTS), np.full(HAND_POINTS, HAND_RADIUS)]
+    return bones, np.concatenate(shares), np.concatenate(radii)
+
+
+_BALLS = _balls()
 
 
 def boxes_near(
