@@ -66,7 +66,9 @@ def demo(
     ] = "expected_cost",
     person: PersonOption = "adult",
     robot: RobotOption = "baxter",
-    scene: SceneOption = "lab",
+    scene: Annotated[
+        str, typer.Option(help="Scene, a file of config/scenes; default: lab, or with --learn learning.")
+    ] = "",
     recording: Annotated[
         Path | None, typer.Option(metavar="FILE", help="C3D, TRC or Vicon CSV instead of the simulated cameras.")
     ] = None,
@@ -75,8 +77,18 @@ def demo(
     pictures: Annotated[bool, typer.Option(help="Render pictures of each handover.")] = True,
     calibrate: Annotated[
         bool | None,
-        typer.Option("--calibrate/--no-calibrate", help="Calibrate the person first; default: for scheme personal."),
+        typer.Option(
+            "--calibrate/--no-calibrate", help="Calibrate the person first; default: for scheme personal and --learn."
+        ),
     ] = None,
+    learn: Annotated[
+        str,
+        typer.Option(
+            metavar="STRATEGY",
+            help="Learn what the person finds comfortable; handovers are chosen by: active, passive, hybrid, random, "
+            "active_grid, active_expected.",
+        ),
+    ] = "",
     seed: SeedOption = 1,
     json_file: JsonOption = None,
     out: OutOption = None,
@@ -90,12 +102,13 @@ def demo(
         scheme=scheme,
         person=person,
         robot=robot,
-        scene=scene,
+        scene=scene or ("learning" if learn else "lab"),
         recording=recording,
         marker_set=marker_set,
         speed=speed,
         pictures=pictures,
-        calibrate=scheme == PERSONAL and recording is None if calibrate is None else calibrate,
+        calibrate=(scheme == PERSONAL or bool(learn)) and recording is None if calibrate is None else calibrate,
+        learn=learn,
         seed=seed,
         json_file=json_file,
         out=out,

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from std_msgs.msg import Header
 
+from handover_ros.cell.learning_curve import draw_learning, learning_table
 from handover_ros.cell.marker_files import AUTO, matching
 from handover_ros.cell.processes import NODES, CellProcesses, NodeLaunch
 from handover_ros.cell.report import (
@@ -33,10 +34,12 @@ from handover_ros.mocap.recordings import read_recording
 from handover_ros.nodes.convert import pose_message
 from handover_ros.nodes.convert_plan import WORLD
 from handover_ros.nodes.demo_calibration import calibrate_person
+from handover_ros.nodes.demo_learning import Lesson
 from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
 from handover_ros.objects.catalogue import load_object
 from handover_ros.objects.scene import load_scene
 from handover_ros.planning.schemes import load_schemes
+from handover_ros.preferences.strategies import STRATEGIES
 from handover_ros.resources import config_directory, config_file
 
 READY_LIMIT = 60.0  # [s] of wall time until the graph is ready; the first start compiles and converts meshes
@@ -62,6 +65,7 @@ class DemoRequest:
     speed: float
     pictures: bool
     calibrate: bool
+    learn: str  # strategy of queries; empty: every object in turn, nothing is asked
     seed: int
     json_file: Path | None
     out: Path | None
@@ -92,6 +96,10 @@ def checked_objects(request: DemoRequest) -> tuple[str, ...]:
     if request.scheme not in schemes:
         raise UnknownNameError("scheme", request.scheme, schemes)
     placed = tuple(load_scene(request.scene).placements)
+    if request.learn and request.learn not in STRATEGIES:
+        raise UnknownNameError("strategy", request.learn, tuple(STRATEGIES))
+    if request.learn and any(load_object(name).hands != 1 for name in request.objects):
+        raise BadRequestError("--learn: preferences are learned from objects for one hand")
     if request.calibrate and request.recording is not None:
         raise BadRequestError("--calibrate: a recorded person cannot be asked to move; leave out --recording")
     for name in request.objects:
@@ -154,7 +162,8 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
     folder = output_folder(request.out, "demo")
     plan = launches(NODES, request.person, request.robot, request.scene, request.seed, request.speed, folder)
     # A demonstration keeps its people to itself.
-    more: dict[str, dict[str, object]] = {"calibration_node": {"profile_directory": str(folder / PROFILES)}}
+    own = {"profile_directory": str(folder / PROFILES)}
+    more: dict[str, dict[str, object]] = {"calibration_node": {**own}, "preference_node": {**own, "seed": request.seed}}
     if mocap:
         more |= {"mocap_node": mocap, "sim_node": {"person_follows_torso": True}}
     for node, parameters in more.items():
@@ -177,13 +186,28 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
                     profile, figures = calibrate_person(request.person, operator, console, wait_simulated)
                     metrics |= figures
                     files.append(folder / PROFILES / f"{profile.profile_id}.json")
-                records = list(hand_over_all(request, objects, operator, console))
+                lesson = None
+                if request.learn:
+                    names = (request.person, request.robot, objects)
+                    lesson = Lesson(operator, console, *names, request.learn)
+                    records = list(
+                        lesson.run(
+                            request.handovers,
+                            lambda number, name, goal: hand_over(number, name, goal, request, operator, console),
+                        )
+                    )
+                    metrics |= lesson.metrics()
+                else:
+                    records = list(hand_over_all(request, objects, operator, console))
                 metrics |= measured(operator, records)
         except InterruptedByOperatorError:
             console.print("interrupted; stopping the nodes ...")
             return EXIT_INTERRUPTED
     files += dict.fromkeys(picture for record in records for picture in record.pictures)
     files.append(draw_phases(records, folder / "phases.png"))
+    if lesson is not None:
+        console.print(learning_table(lesson.steps))
+        files.append(draw_learning(lesson.steps, lesson.first_cost, folder / "learning.png"))
     ok = all(record.taken for record in records) and not any(
         metrics[name] for name in ("dropped", "joint_limit_violations", "velocity_limit_violations")
     )
@@ -199,10 +223,18 @@ def hand_over_all(
         if number > 1:
             # What was handed over goes back to its table, so that every handover starts alike.
             operator.call(ResetSimulation, "sim/reset", ResetSimulation.Request(seed=-1, objects_only=True))
-        yield hand_over(number, name, request, operator, console)
+        goal = ExecuteHandover.Goal(object_name=name, scheme=request.scheme)
+        yield hand_over(number, name, goal, request, operator, console)[0]
 
 
-def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, console: Console) -> HandoverRecord:
+def hand_over(
+    number: int,
+    name: str,
+    goal: ExecuteHandover.Goal,
+    request: DemoRequest,
+    operator: Operator,
+    console: Console,
+) -> tuple[HandoverRecord, ExecuteHandover.Result]:
     """Run one handover, wait until the person has put the object down, and judge it by the true state."""
     pictures: list[str] = []
     events_before = len(operator.events)
@@ -214,7 +246,6 @@ def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, 
         if request.pictures and phase in ("waiting", "retracting"):
             pictures.append(operator.render())
 
-    goal = ExecuteHandover.Goal(object_name=name, scheme=request.scheme)
     place = load_scene(request.scene).goals.get(name)
     if place is not None:
         goal.has_goal = True
@@ -228,12 +259,12 @@ def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, 
 
     # The true state: the hand held it at the end of the handover (it may have put it down already).
     taken = happened("taken") and not happened("dropped")
-    if taken:
+    if taken and place is not None:
         wait_simulated(operator, lambda: happened("placed", "dropped"), PLACE_LIMIT)
-    return HandoverRecord(
+    record = HandoverRecord(
         number=number,
         object_name=name,
-        scheme=request.scheme,
+        scheme=result.plan.scheme or request.scheme,
         arm=result.plan.arm,
         success=result.success,
         taken=taken and not happened("dropped"),
@@ -243,6 +274,7 @@ def hand_over(number: int, name: str, request: DemoRequest, operator: Operator, 
         planning_time=result.plan.planning_time if result.plan.plan_id else math.nan,
         pictures=tuple(Path(picture) for picture in pictures if picture),
     )
+    return record, result
 
 
 def wait_simulated(operator: Operator, predicate: Callable[[], bool], limit: float) -> bool:

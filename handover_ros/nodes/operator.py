@@ -69,13 +69,14 @@ class Operator:
         self.states: dict[str, int] = {}
         self.events: list[SimulationEvent] = []
         self.truth: SimulationTruth | None = None
+        self.taken_truth: SimulationTruth | None = None  # of the moment an object was last taken
         self.skeleton: SkeletonState | None = None
         self.residuals: list[float] = []
         self.realtime_factors: list[float] = []
         self.diagnostics: dict[str, dict[str, str]] = {}
         node = self.node
         node.create_subscription(Heartbeat, "cell/heartbeat", self._on_heartbeat, SENSOR_PUBLISHER)
-        node.create_subscription(SimulationEvent, "sim/events", self.events.append, RECORDER)
+        node.create_subscription(SimulationEvent, "sim/events", self._on_event, RECORDER)
         node.create_subscription(SimulationTruth, "sim/truth", self._on_truth, SENSOR_CONSUMER)
         node.create_subscription(SkeletonState, "human/skeleton_state", self._on_skeleton, SENSOR_CONSUMER)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, SENSOR_PUBLISHER)
@@ -94,6 +95,11 @@ class Operator:
         self._thread.join(timeout=3.0)
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
+
+    def _on_event(self, message: SimulationEvent) -> None:
+        self.events.append(message)
+        if message.kind == "taken":
+            self.taken_truth = self.truth
 
     def _on_heartbeat(self, message: Heartbeat) -> None:
         self.states[message.node] = message.state

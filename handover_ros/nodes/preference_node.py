@@ -84,7 +84,7 @@ class PreferenceNode(HandoverNode):
         self.counted, self.refused, self.last_problem = 0, 0, ""
         self.worker = Worker(self)
         self.belief_publisher = self.create_publisher(BeliefSummary, "preferences/belief", LATCHED)
-        # Reentrant: what waits (for the planner, for the belief) holds up nothing else, the worker's answer least of all.
+        # Reentrant: what waits (for the planner, for the belief) holds up nothing, the worker's answer least of all.
         group = ReentrantCallbackGroup()
         self.create_subscription(
             ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED, callback_group=group
