@@ -11,6 +11,7 @@ from handover_ros.sim.person_spec import ARM_JOINTS, ARM_SLICE, HANDS, PersonSpe
 from handover_ros.skeleton.prompts import PROMPTS, REPETITIONS, CalibrationPrompt, prompt_of
 
 RANGE_SHARE = 0.97
+VARIED_SHARE = 0.7
 ENTRY_TIME = 1.2
 MEAN_SPEED = 1.9
 SHORTEST_REPETITION = 1.6
@@ -27,11 +28,13 @@ class CalibrationMotion:
         joint: Arm joint that goes through its range; empty: none.
         posture: Displacements [rad] of other arm joints meanwhile.
         second: Arm joint that goes through its range a quarter of a circle later; empty: none.
+        varied: Arm joint that is at another place of its range in each repetition; empty: none.
     """
 
     joint: str
     posture: dict[str, float]
     second: str = ""
+    varied: str = ""
 
 
 MOTIONS = {
@@ -41,7 +44,7 @@ MOTIONS = {
     "shoulder_rotation": CalibrationMotion(
         "shoulder_rotation", {"elbow_flexion": 1.5, "shoulder_abduction": 0.6, "shoulder_flexion": 0.3}
     ),
-    "elbow_flexion": CalibrationMotion("elbow_flexion", {"shoulder_flexion": 0.3}),
+    "elbow_flexion": CalibrationMotion("elbow_flexion", {"shoulder_flexion": 0.3}, varied="forearm_pronation"),
     "forearm_pronation": CalibrationMotion("forearm_pronation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
     "wrist_flexion": CalibrationMotion("wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
     "wrist_deviation": CalibrationMotion("wrist_deviation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
@@ -105,9 +108,23 @@ def _plan(person: PersonSpec, prompt: CalibrationPrompt) -> MotionPlan:
         low[column], high[column] = middle - RANGE_SHARE * half, middle + RANGE_SHARE * half
         swing = max(swing, 2.0 * RANGE_SHARE * half)
     stroke = max(swing / MEAN_SPEED, SHORTEST_REPETITION / 2.0)
-    postures = [standing, start, *[high, low] * REPETITIONS, start, standing]
+    strokes = [posture for number in range(REPETITIONS) for posture in _varied(person, motion, number, high, low)]
+    postures = [standing, start, *strokes, start, standing]
     steps = [ENTRY_TIME, *[stroke] * (2 * REPETITIONS), 0.7 * stroke, ENTRY_TIME]
     return MotionPlan(prompt.name, prompt.text, np.concatenate([[0.0], np.cumsum(steps)]), np.stack(postures))
+
+
+def _varied(person: PersonSpec, motion: CalibrationMotion, repetition: int, *postures: FloatArray) -> list[FloatArray]:
+    """Return the postures (20,) of one repetition: the varied joint at the end, middle or start of its range."""
+    found = [posture.copy() for posture in postures]
+    if motion.varied:
+        for hand in HANDS:
+            column = ARM_SLICE[hand].start + ARM_JOINTS.index(motion.varied)
+            middle, half = _range(person.lower[column], person.upper[column])
+            place = 1.0 - 2.0 * repetition / (REPETITIONS - 1)
+            for posture in found:
+                posture[column] = middle + place * VARIED_SHARE * half
+    return found
 
 
 def _circle(person: PersonSpec, prompt: CalibrationPrompt, start: FloatArray, joints: tuple[int, int]) -> MotionPlan:

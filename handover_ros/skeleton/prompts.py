@@ -33,7 +33,8 @@ PROMPTS = (
     CalibrationPrompt(
         "shoulder_rotation", "Elbows bent and a little off the body: turn the forearms outward and inward"
     ),
-    CalibrationPrompt("elbow_flexion", "Bend and stretch both elbows fully"),
+    # With the palm turned differently each time: else the forearm may as well turn first and bend then.
+    CalibrationPrompt("elbow_flexion", "Bend and stretch both elbows fully: palms up, then inward, then down"),
     CalibrationPrompt("forearm_pronation", "Elbows bent: turn the palms up and down"),
     CalibrationPrompt("wrist_flexion", "Elbows bent: bend the hands inward and outward"),
     CalibrationPrompt("wrist_deviation", "Elbows bent: tilt the hands towards the thumb and the little finger"),

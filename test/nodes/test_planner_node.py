@@ -9,11 +9,20 @@ import pytest
 import yaml
 from geometry_msgs.msg import PoseWithCovariance
 from graph import FIRST_CONTACT, Graph, NodeProcess, wait_for
-from handover_msgs.msg import ActiveProfile, GripperState, HandoverPlan, Heartbeat, ObjectStates, SkeletonState
-from handover_msgs.srv import PlanHandover, PlanMotion
+from handover_msgs.msg import (
+    ActiveProfile,
+    BeliefSummary,
+    GripperState,
+    HandoverPlan,
+    Heartbeat,
+    ObjectStates,
+    SkeletonState,
+)
+from handover_msgs.srv import PlanHandover, PlanMenu, PlanMotion
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from handover_ros.arm.model import JOINT_NAMES
 from handover_ros.errors import ErrorCode
 from handover_ros.geometry import pose_from_transform
 from handover_ros.nodes.convert import float_array, pose_message, trajectory_arrays, transform_from_message
@@ -302,6 +311,64 @@ def test_personal_scheme_follows_the_active_profile(cell, clients):
     finally:
         cell.activate(None)
         node.destroy_subscription(subscription)
+
+
+def test_a_menu_is_proposed_and_a_chosen_handover_planned(cell, clients):
+    wait_until_plans(clients, object_name="mug")
+
+    def menu(**fields):
+        return cell.graph.call(PlanMenu, "planner/plan_menu", PlanMenu.Request(**fields), PLANNING)
+
+    proposed = menu(object_names=["mug", "u_lock"], count=3)
+    assert proposed.success, proposed.message
+    assert {each.object_name for each in proposed.menu} <= {"mug", "u_lock"}
+    assert len({each.plan_id for each in proposed.menu}) == len(proposed.menu) >= 3
+    assert all(not each.stages and len(each.grasp_probabilities) for each in proposed.menu)
+    answers = [plan(clients, object_name=o.object_name, has_offer=True, offer=o) for o in proposed.menu]
+    planned = [(a, o) for a, o in zip(answers, proposed.menu, strict=True) if a.success]
+    assert planned, [answer.message for answer in answers]
+    for answer, offer in planned:
+        poses = [transform_from_message(each.handover_pose) for each in (answer.plan, offer)]
+        np.testing.assert_allclose(*poses, atol=1e-9)
+        assert answer.plan.arm == offer.arm
+        assert [stage.name for stage in answer.plan.stages] == STAGES
+    assert "anvil" in menu(object_names=["anvil"]).message
+    assert menu(count=10_000).error_code == ErrorCode.BAD_REQUEST
+    broken = planned[0][1]
+    broken.handover_pose.position.x = float("nan")
+    refused = plan(clients, object_name=broken.object_name, has_offer=True, offer=broken)
+    assert (refused.success, "handover_pose" in refused.message) == (False, True)
+
+
+def test_what_is_believed_of_the_person_changes_the_plan(cell, clients):
+    """Somebody who likes an outstretched arm is offered things elsewhere; only the active person's belief counts."""
+    wait_until_plans(clients, object_name="mug")
+    publisher = cell.graph.node.create_publisher(BeliefSummary, "preferences/belief", LATCHED)
+
+    def believe(profile_id, neutral):
+        for_all = {f"{kind}_neutral": float_array(neutral) for kind in ("mean", "mode", "expected")}
+        for_all |= {f"{kind}_weights": float_array(np.ones(7)) for kind in ("mean", "mode", "expected")}
+        names = list(JOINT_NAMES)
+        publisher.publish(BeliefSummary(profile_id=profile_id, observations=3, joint_names=names, **for_all))
+
+    def hand_of():
+        answer = plan(clients, object_name="mug", scheme="expected_cost")
+        assert answer.success, answer.message
+        return transform_from_message(answer.plan.handover_pose)[:3, 3]
+
+    try:
+        cell.activate(profile_of("adult"))
+        wait_for(
+            lambda: plan(clients, object_name="mug", scheme="personal").success, PLANNING, "the profile to be active"
+        )
+        generic = hand_of()
+        believe("somebody_else", [1.2, 0.6, 0.0, 0.3, 0.0, 0.0, 0.0])
+        np.testing.assert_allclose(hand_of(), generic, atol=1e-9)
+        believe("adult", [1.2, 0.6, 0.0, 0.3, 0.0, 0.0, 0.0])
+        wait_for(lambda: np.linalg.norm(hand_of() - generic) > 0.05, PLANNING, "another plan for another preference")
+    finally:
+        cell.activate(None)
+        cell.graph.node.destroy_publisher(publisher)
 
 
 def test_a_bad_profile_leaves_the_node_up(cell, clients):
