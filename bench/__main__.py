@@ -11,14 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench import calibration, inverse_kinematics, planning, tracking
+from bench import calibration, inverse_kinematics, planning, preferences, tracking
 from bench.bench_simulation import factor
 from bench.peers import peer
 from handover_ros.cell.report import write_json
 from handover_ros.errors import HandoverError
 from handover_ros.sim.options import SimulationOptions
 
-PARTS = ("tracking", "calibration", "simulation", "ik", "planning")
+PARTS = ("tracking", "calibration", "simulation", "ik", "planning", "preferences")
 # What the design asks for: metric, relation, value.
 REACH = {
     "ukf_speed_over_biorbd": (">=", 1.0),
@@ -38,6 +38,9 @@ REACH = {
     "ik_poses_missed": ("<=", 0.0),
     "ik_cost_over_best_peer": ("<=", 1.0 + 1e-9),
     "ik_fk_error": ("<=", 1e-9),
+    "belief_update_ms": ("<=", 10.0),
+    "query_select_ms": ("<=", 100.0),
+    "mutual_information_speedup": (">=", 1000.0),
 }
 AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
 EXIT_BAD_INPUT = 2
@@ -64,7 +67,7 @@ def bench(
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for bench.json.")] = None,
 ) -> None:
-    """Measure tracking, calibration, simulation and inverse kinematics, with the peers in the same run."""
+    """Measure tracking, calibration, simulation, planning and preferences, with the peers in the same run."""
     if part not in (*PARTS, "all"):
         raise typer.BadParameter(f"unknown part {part!r}; known: {', '.join(PARTS)}, all")
     console = Console()
@@ -84,6 +87,9 @@ def bench(
     if part in ("ik", "all"):
         console.print("inverse kinematics of the arm ...")
         metrics |= inverse_kinematics.measure(seed, quick, peer("eaik"), peer("ssik"))
+    if part in ("preferences", "all"):
+        console.print("preferences ...")
+        metrics |= preferences.measure(seed, quick)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("metric", "value", "to reach", "reached"):
         table.add_column(heading, justify="right" if heading == "value" else "left")

@@ -6,6 +6,7 @@ import numpy as np
 
 from handover_ros.arm.model import load_arm
 from handover_ros.preferences.belief import first_belief
+from handover_ros.preferences.menus import information_of_menus
 from handover_ros.preferences.prior import Prior
 from handover_ros.preferences.query import Query, region_answer
 from handover_ros.preferences.space import arm_space
@@ -21,3 +22,4 @@ def warm_up_preferences() -> None:
     belief = belief.updated(query, region_answer(query, "left"))
     for answers in ("posture", "region"):
         select(belief, [query, query], "active", answers)
+    information_of_menus(belief.people, belief.weights, postures, np.array([[0, 1]]))

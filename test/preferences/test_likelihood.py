@@ -8,7 +8,7 @@ from planar_people import neutral_space, random_query, whole_space
 from scipy.special import logsumexp
 
 from handover_ros.errors import BadRequestError
-from handover_ros.preferences.choice_kernels import exp_below_one
+from handover_ros.preferences.choice_kernels import costs_of, exp_below_one, greatest, least
 from handover_ros.preferences.likelihood import (
     choice_probabilities,
     log_likelihood,
@@ -29,6 +29,18 @@ def test_exponential_is_exact_to_the_last_bits(x):
 @pytest.mark.parametrize("x", [-708.5, -1e4, -np.inf])
 def test_exponential_of_very_negative_numbers_is_zero(x):
     assert exp_below_one(x) == 0.0
+
+
+@pytest.mark.parametrize("joints", range(1, 10))
+@pytest.mark.parametrize("count", [1, 3, 8, 30])
+def test_costs_extremes_and_sums_of_any_size_are_their_definitions(joints, count):
+    rng = np.random.default_rng(joints)
+    rows, squares, slopes = rng.normal(size=(joints, count)), rng.random(joints), rng.normal(size=joints)
+    costs = np.empty(count)
+    costs_of(rows, squares, slopes, 0.5, costs)
+    np.testing.assert_allclose(costs, 0.5 + squares @ np.square(rows) + slopes @ rows, atol=1e-12)
+    assert greatest(costs) == costs.max()
+    assert least(costs) == costs.min()
 
 
 @given(seeds)
