@@ -1,4 +1,4 @@
-"""Preferences: a belief's update and the choice of a query at full size; information of many pairs against plain code."""
+"""Preferences: updating a belief and choosing a query at full size; information of many pairs against plain code."""
 
 from __future__ import annotations
 

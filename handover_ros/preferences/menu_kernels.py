@@ -15,7 +15,6 @@ from handover_ros.geometry import FloatArray
 from handover_ros.preferences.choice_kernels import FAST, exp_below_one
 from handover_ros.preferences.query import IntArray
 
-
 LOG2 = 0.693147180559945309417
 MANTISSA, ONE = np.int64(0x000FFFFFFFFFFFFF), np.int64(0x3FF0000000000000)
 ROOT2 = 1.4142135623730951
