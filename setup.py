@@ -57,6 +57,7 @@ setup(
         "rosbags>=0.10",
         "pillow>=10.0",
         "threadpoolctl>=3.2",
+        "joblib>=1.3",
     ],
     extras_require={
         "test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8"],
