@@ -24,11 +24,12 @@ from handover_ros.planning.problem import (
 kernels: Any = neighbour_kernels  # numba's functions carry no types
 
 # Why poses are refused for the robot's sake.
-BEYOND_ARM = "beyond the robot's arm, or its gripper on the person's side"
+BEYOND_ARM = "beyond the robot's arm, its gripper on the person's side, or it cannot pick the object up so"
 BEYOND_LIMITS = "out of the robot's reach or limits"
-IN_THE_WAY = "the robot would collide there, or cannot pick the object up so"
+IN_THE_WAY = "the robot would collide there"
 NEARBY = 0.15  # share of the distance between elites within which the robot's reach is the same, most probably
 FAR_FROM_FREE = 0.15  # relative
+LOOKS = 3  # sets of free grasps for which the robot is asked whether a pose is worth a look at all
 BATCH = 48  # entries for which the robot is asked together
 
 
@@ -54,8 +55,10 @@ class CandidatePool:
         self._kinematic = np.empty((0, kinds), dtype=np.int64)  # robot grasp that gets there, collisions aside
         self._known = np.empty((0, kinds), dtype=np.int64)  # robot grasp that gets there
 
-    def add(self, points: FloatArray) -> None:
-        """Look at poses (n, 6)."""
+    def add(self, points: FloatArray, doubtful: FloatArray | None = None, most: int = 0) -> None:
+        """Look at poses (n, 6), and at the first few, ``most``, of doubtful ones (m, 6) that the robot gets to."""
+        if doubtful is not None and len(doubtful):
+            points = np.concatenate([points, self._first_reached(doubtful, most)])
         problem, report = self.problem, self.report
         poses = problem.space.transforms(problem.model, points)
         report.poses += len(points)
@@ -78,6 +81,26 @@ class CandidatePool:
         self._rows = np.concatenate([self._rows, rows])
         self._kinematic = np.concatenate([self._kinematic, unknown])
         self._known = np.concatenate([self._known, unknown])
+
+    def _first_reached(self, points: FloatArray, most: int) -> FloatArray:
+        """Return the first few of poses (n, 6) that the robot's arm gets to, by a look at its easiest ways there."""
+        if self._robot is None:
+            return points[:most]
+        found: list[FloatArray] = []
+        for start in range(0, len(points), 2 * most):
+            part = points[start : start + 2 * most]
+            poses = self.problem.space.transforms(self.problem.model, part)
+            rows, strains = self._ways(poses)
+            easiest = np.argsort(strains, axis=1, kind="stable")[:, :LOOKS]
+            tried = np.take_along_axis(rows[:, :, 0], easiest, axis=1)
+            pose, look = np.nonzero(tried != NONE)
+            self.report.robot_checks += len(pose)
+            reached = np.zeros(len(part), dtype=bool)
+            np.logical_or.at(reached, pose, self._robot.kinematic(poses[pose], tried[pose, look]))
+            found.append(part[reached])
+            if sum(map(len, found)) >= most:
+                break
+        return np.concatenate(found)[:most]
 
     def _ways(self, poses: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the robot grasps to be tried (n, kinds, attempts), and the least stretch of the arm (n, kinds) [m].
@@ -188,16 +211,22 @@ class CandidatePool:
         return bool(likely[good].sum() < 0.5)
 
     def _reaching(self, entry: int) -> int:
-        """Return the robot grasp with which the robot can be at an entry, free of collisions, -1: it cannot."""
-        row = int(self._kinematic.flat[entry])
-        if row < 0:
+        """Return the robot grasp with which the robot can be at an entry, free of collisions, NONE: it cannot."""
+        first = int(self._kinematic.flat[entry])
+        if first == NONE:
             self.report.refused[BEYOND_LIMITS] += 1
-        elif self._robot is not None:
+        if first == NONE or self._robot is None:
+            return first
+        pose, kind = divmod(entry, len(self._masks))
+        rows = self._rows[pose, kind].tolist()
+        for row in rows[rows.index(first) :]:
+            if row == NONE:
+                break
             self.report.robot_checks += 1
-            if not self._robot.reachable(self._poses[entry // len(self._masks)], row):
-                self.report.refused[IN_THE_WAY] += 1
-                return -1
-        return row
+            if self._robot.reachable(self._poses[pose], row):
+                return int(row)
+        self.report.refused[IN_THE_WAY] += 1
+        return NONE
 
     def point(self, entry: int) -> FloatArray:
         """Return the pose (6,) of an entry."""

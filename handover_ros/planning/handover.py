@@ -185,14 +185,14 @@ class HandoverPlanner:
         checker = motion.checker(picking.arm, snapshot, motion.held_object(picking.arm, name, ways[0]))
 
         def reachable(world_from_object: FloatArray, index: int) -> bool:
-            if picking.refused(index) or not picking.plausible(index):
-                return False
             world_from_gripper = world_from_object @ picking.grasps[index]
             checker.hold(object_solids(model, ways[index]))
             return reach.quick_check(world_from_gripper, checker, standing, search.offering)
 
         def stretches(world_from_object: FloatArray) -> FloatArray:
-            return reach.inverse_kinematics.stretches(world_from_object, grasps)
+            found = reach.inverse_kinematics.stretches(world_from_object, grasps)
+            found[:, ~picking.usable()] = np.inf
+            return found
 
         def kinematic(world_from_object: FloatArray, indices: IntArray) -> BoolArray:
             found = reach.inverse_kinematics.quick_many(world_from_object @ grasps[indices])

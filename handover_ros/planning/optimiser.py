@@ -9,7 +9,7 @@ stopped at any time and then has its best so far.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from handover_ros.geometry import FloatArray, invert_transform
 from handover_ros.planning.candidate_pool import CandidatePool
 from handover_ros.planning.choice import MEAN, MEASURE
 from handover_ros.planning.feasible import statistics
-from handover_ros.planning.problem import Problem, Robot, SearchReport, good_at_goal, ways_of
+from handover_ros.planning.problem import Problem, Robot, SearchReport, good_at_goal
 
 BESIDE_THE_WAY = 0.3  # of the scatter
 CHUNK = 2000  # poses looked at together in the exhaustive mode
@@ -30,9 +30,11 @@ class SearchSettings:
     Attributes:
         spread: Poses of the first, even spread.
         screened: Poses from which these are chosen when there is a goal.
-        screened_again: The same when the best that was found is poor.
-        elites: Best candidates around which the next poses lie.
+        screened_again: The same when the best that was found is poor,
+        spread_again: and the poses of that spread.
+        elites: Best candidates around which the next poses lie, in each round.
         children: Poses around all of them in one round.
+        tried: Times as many are drawn, in case the robot does not reach them.
         lengths: Scatter of each round's positions [m].
         angles: Scatter of its angles [rad]; as many.
         checks: How often the robot is asked in one round, about.
@@ -43,10 +45,12 @@ class SearchSettings:
     spread: int = 128
     screened: int = 1024
     screened_again: int = 16384
-    elites: int = 4
+    spread_again: int = 512
+    elites: tuple[int, ...] = (8, 6, 4, 3, 2, 2)
     children: int = 44
-    lengths: tuple[float, ...] = (0.10, 0.05, 0.025, 0.012, 0.006)
-    angles: tuple[float, ...] = (0.5, 0.25, 0.12, 0.06, 0.03)
+    tried: int = 2
+    lengths: tuple[float, ...] = (0.10, 0.05, 0.025, 0.012, 0.006, 0.003)
+    angles: tuple[float, ...] = (0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
     checks: int = 64
     attempts: int = 2
     seed: int = 0
@@ -74,13 +78,15 @@ def search(
     report = SearchReport()
     pool = CandidatePool(problem, robot, settings.attempts, report)
     rng = np.random.default_rng(settings.seed)
-    pool.add(np.concatenate([suggested(problem), spread_for_goal(problem, robot, settings)]))
+    spread = spread_for_goal(problem, settings)
+    half = settings.spread // 2
+    pool.add(np.concatenate([suggested(problem), spread[:half]]), spread[half:], half)
     close_in(pool, settings, rng, deadline)
     if pool.best_is_far_from_free(deadline, settings.checks) and time.monotonic() < deadline:
         close_in(pool, settings, rng, deadline)  # the robot's reach has many edges: look along them once more
     if pool.best_is_poor(deadline, settings.checks) and time.monotonic() < deadline:
         # Good poses are rare: where the grasps that would tempt the person are just out of reach.
-        pool.add(spread_for_goal(problem, robot, replace(settings, screened=settings.screened_again, spread=10**9)))
+        pool.add(np.empty((0, 6)), spread_for_goal(problem, settings, settings.screened_again), settings.spread_again)
         close_in(pool, settings, rng, deadline)
     report.stopped = time.monotonic() > deadline
     entries = pool.best(wanted, deadline, 2 * settings.checks)
@@ -95,32 +101,31 @@ def close_in(pool: CandidatePool, settings: SearchSettings, rng: np.random.Gener
     for number, (length, angle) in enumerate(zip(settings.lengths, settings.angles, strict=True)):
         if time.monotonic() > deadline:
             return
-        elites = pool.best(settings.elites, deadline, settings.checks, 2.0 * length, 2.0 * angle)
+        elites = pool.best(settings.elites[number], deadline, settings.checks, 2.0 * length, 2.0 * angle)
         if elites:
             scatter = np.array([length, length, length, angle, angle, angle])
-            children = space.clip(model, _children(pool, elites, scatter, settings.children, rng))
+            lured, around = _children(pool, elites, scatter, settings, rng)
+            pool.add(space.clip(model, lured), space.clip(model, around), settings.children - len(lured))
         else:
-            children = space.spread(model, 2 * settings.spread, settings.seed + 1 + number)
-        pool.add(children)
+            pool.add(space.spread(model, 2 * settings.spread, settings.seed + 1 + number))
 
 
 def _children(
-    pool: CandidatePool, elites: list[int], scatter: FloatArray, count: int, rng: np.random.Generator
-) -> FloatArray:
-    """Return poses (count, 6) scattered around the elites, half of them on the way to poses that are better still.
+    pool: CandidatePool, elites: list[int], scatter: FloatArray, settings: SearchSettings, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses (n, 6) on the way from the elites to poses that are better still, and (m, 6) scattered around them.
 
-    Those the robot does not reach: the best that it reaches lies at the edge of its reach, between the two.
+    The better ones the robot does not reach: the best that it reaches lies at the edge of its reach, between the two.
     """
-    parents = np.stack([pool.point(entry) for entry in elites])[np.arange(count) % len(elites)]
-    children = parents + scatter * rng.normal(size=parents.shape)
+    parents = np.stack([pool.point(entry) for entry in elites])
     lures = pool.better_than(elites[0], len(elites) + 1)
-    if len(lures):
-        half = parents[::2]
-        way = lures[rng.integers(len(lures), size=len(half))] - half
-        way[:, 3:] = (way[:, 3:] + np.pi) % (2.0 * np.pi) - np.pi
-        shares = rng.uniform(size=(len(half), 1))
-        children[::2] = half + shares * way + BESIDE_THE_WAY * scatter * rng.normal(size=half.shape)
-    return children
+    number = settings.children // 2 if len(lures) else 0
+    starts = parents[np.arange(number) % len(parents)]
+    way = lures[rng.integers(len(lures), size=number)] - starts if number else starts
+    way[:, 3:] = (way[:, 3:] + np.pi) % (2.0 * np.pi) - np.pi
+    lured = starts + rng.uniform(size=(number, 1)) * way + BESIDE_THE_WAY * scatter * rng.normal(size=starts.shape)
+    starts = parents[np.arange(settings.tried * (settings.children - number)) % len(parents)]
+    return lured, starts + scatter * rng.normal(size=starts.shape)
 
 
 def exhaustive(
@@ -146,30 +151,29 @@ def exhaustive(
     return report
 
 
-def spread_for_goal(problem: Problem, robot: Robot | None, settings: SearchSettings) -> FloatArray:
-    """Return poses (n, 6) spread over the space; with a goal, those of many more at which its best grasps are good.
+def spread_for_goal(problem: Problem, settings: SearchSettings, screened: int = 0) -> FloatArray:
+    """Return poses (n, 6) spread over the space; with a goal, ordered by how good its best grasps may be there.
 
     A grasp that is bad at the goal costs so much that a good offer leaves the person others: a look at the few grasps
     that are best there tells which poses are worth a look at all grasps.
+
+    Args:
+        problem: What is to be decided.
+        settings: How to search.
+        screened: Number of poses with a goal; 0: as the settings say.
     """
     space, model = problem.space, problem.model
     if problem.goal.table is None:
         return space.spread(model, settings.spread, settings.seed)
     later, kept = np.asarray(problem.goal.mean), good_at_goal(problem)
-    points = space.spread(model, settings.screened, settings.seed)
+    points = space.spread(model, screened or settings.screened, settings.seed)
     poses = space.transforms(model, points)
     allowed = space.allowed(model, poses)
     points, poses = points[allowed], poses[allowed]
     few = problem.grasps.subset(kept)
     table = statistics(problem.taker, few, poses, problem.choice.hand_rationality)
     bound = (np.where(table[..., MEASURE] > 0.0, table[..., MEAN], np.inf) + later[kept]).min(axis=1)
-    strain = ways_of(problem, robot, poses).min(axis=1)
-    bound = np.where(np.isfinite(strain), bound, np.inf)
-    order = np.argsort(bound, kind="stable")[: int(np.isfinite(bound).sum())]
-    # Half of them where the robot's arm need not stretch: there it most probably can be.
-    easy = order[strain[order] <= np.median(strain[order])] if len(order) else order
-    both = dict.fromkeys([*order[: settings.spread // 2].tolist(), *easy[: settings.spread // 2].tolist()])
-    return points[list(both)]
+    return points[np.argsort(bound, kind="stable")[: int(np.isfinite(bound).sum())]]
 
 
 def suggested(problem: Problem) -> FloatArray:

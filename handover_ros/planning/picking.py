@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray, invert_transform
 from handover_ros.objects.catalogue import ObjectModel, RobotGrasp
@@ -93,7 +94,7 @@ class Picking:
         self._touching = planner.checker(arm, snapshot, touched=name)
         self._clear = planner.checker(arm, snapshot)
         self._known: dict[int, Pick | None] = {}
-        self._plausible: dict[int, bool] = {}
+        self._plausible: npt.NDArray[np.bool_] | None = None
 
     def __getitem__(self, index: int) -> Pick | None:
         """Return the pick of a grasp, or None when it cannot be reached; refusals go to the reasons."""
@@ -111,17 +112,20 @@ class Picking:
         """How many grasps are known to be out of reach."""
         return sum(pick is None for pick in self._known.values())
 
-    def plausible(self, index: int) -> bool:
-        """Return whether a quick look finds the gripper in reach at a grasp and before it; the way is not looked at."""
-        if index not in self._plausible:
-            world_from_gripper = self._world_from_object @ self.grasps[index]
-            before = world_from_gripper.copy()
-            before[:3, 3] -= self._planner.settings.pregrasp_distance * world_from_gripper[:3, 2]
-            reach = self._planner.reaches[self.arm]
-            self._plausible[index] = all(
-                reach.quick_check(pose, None, self._standing, self._reasons) for pose in (world_from_gripper, before)
-            )
-        return self._plausible[index]
+    def usable(self) -> npt.NDArray[np.bool_]:
+        """Return which grasps may be picked up with (grasps,): not known to be out of reach, and in it by a quick look.
+
+        That look, all grasps together and at the first call only, is at the grasp and before it, not at the way.
+        """
+        if self._plausible is None:
+            at_grasp = self._world_from_object @ np.stack(self.grasps)
+            before = at_grasp.copy()
+            before[:, :3, 3] -= self._planner.settings.pregrasp_distance * at_grasp[:, :3, 2]
+            solver = self._planner.reaches[self.arm].inverse_kinematics
+            self._plausible = solver.quick_many(at_grasp) & solver.quick_many(before)
+            self._reasons.counts[Reason.JOINT_LIMITS, ""] += int((~self._plausible).sum())
+        refused = [self.refused(index) for index in range(len(self.grasps))]
+        return self._plausible & ~np.array(refused)
 
     def _make(self, grasp: RobotGrasp, object_from_gripper: FloatArray) -> Pick | None:
         planner, arm, standing, reasons = self._planner, self.arm, self._standing, self._reasons
@@ -173,9 +177,9 @@ class Holding:
         """Return False: the object is in the gripper."""
         return False
 
-    def plausible(self, index: int) -> bool:
-        """Return True: the object is in the gripper."""
-        return True
+    def usable(self) -> npt.NDArray[np.bool_]:
+        """Return True for the one grasp: the object is in the gripper."""
+        return np.ones(1, dtype=bool)
 
 
 def held_pick(planner: MotionPlanner, arm: str, name: str, snapshot: CellSnapshot) -> Pick | None:

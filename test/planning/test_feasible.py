@@ -22,7 +22,7 @@ from handover_ros.planning.choice import (
     grasp_probabilities,
     person_model,
 )
-from handover_ros.planning.feasible import Taker, statistics
+from handover_ros.planning.feasible import Taker, statistics, statistics_each
 from handover_ros.planning.grasp_set import grasp_set
 from handover_ros.planning.objectives import OBJECTIVES, expected_cost
 from handover_ros.planning.obstacles import obstacles_of
@@ -260,3 +260,19 @@ def test_a_person_needs_a_cost_for_each_arm():
     with pytest.raises(BadRequestError, match="cost for each arm"):
         Taker({}, {})
     assert taker_of(("left", "right")).sides == ("left", "right")
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("cost", ["squared_distance", "gravity_torque"])
+def test_grasps_each_at_a_pose_of_its_own_are_weighed_as_one_by_one(name, cost):
+    """Each grasp with its pose and the table as seen from there is what all grasps are at that pose."""
+    grasps, poses, _ = case(name)
+    taker = taker_of(CASES[name][1], cost)
+    which = np.arange(len(grasps)) % len(poses)
+    seen = [obstacles_of(TABLE, transform_from_xyz_rpy([0.0, 0.0, 0.1 * n], [0.0] * 3)) for n in range(len(poses))]
+    for obstacles in (seen, []):
+        found = statistics_each(taker, grasps, poses[which], 3.0, obstacles, which)
+        for grasp, place in enumerate(which):
+            there = obstacles[place] if obstacles else None
+            one = statistics(taker, grasps, poses[place], 3.0, there)[0, grasp]
+            np.testing.assert_allclose(found[grasp], one, rtol=1e-9, atol=1e-9)

@@ -176,7 +176,7 @@ def test_a_robot_that_reaches_nothing_has_no_candidate(mode):
     report = mode(given, arm)
     assert report.candidates == []
     assert report.robot_checks == len(arm.asked) + len(arm.looked_at) > 0
-    assert report.refused[IN_THE_WAY] == len(arm.asked)
+    assert 0 < report.refused[IN_THE_WAY] <= len(arm.asked)  # with each of the grasps to be tried
 
 
 @pytest.mark.parametrize("mode", [search, exhaustive])

@@ -49,3 +49,20 @@ def test_what_the_arm_cannot_reach_is_refused_and_counted():
     assert all(picking[i] is None for i in range(len(picking.grasps)))
     assert picking.refused(0)
     assert reasons.counts
+
+
+@pytest.mark.parametrize("name", ["mug", "handlebars"])
+def test_usable_grasps_are_in_reach_and_not_yet_refused(name):
+    """A quick look at all grasps: each kept one has a solution at the object and before it; refused ones go."""
+    picking = Picking(PLANNER.motion, "right" if name == "handlebars" else "left", name, snapshot(), Reasons())
+    solver = PLANNER.motion.reaches[picking.arm].inverse_kinematics
+    usable = picking.usable()
+    assert usable.shape == (len(picking.grasps),)
+    for index, pose in enumerate(picking.grasps):
+        at_grasp = SCENE.placements[name] @ pose
+        before = at_grasp.copy()
+        before[:3, 3] -= PLANNER.motion.settings.pregrasp_distance * at_grasp[:3, 2]
+        assert usable[index] == bool(len(solver.quick(at_grasp)) and len(solver.quick(before)))
+    for index in range(len(picking.grasps)):
+        if picking[index] is None:
+            assert not picking.usable()[index]
