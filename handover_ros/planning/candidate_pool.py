@@ -87,16 +87,18 @@ class CandidatePool:
         if self._robot is None:
             return points[:most]
         found: list[FloatArray] = []
-        for start in range(0, len(points), 2 * most):
-            part = points[start : start + 2 * most]
+        for start in range(0, len(points), most):
+            part = points[start : start + most]
             poses = self.problem.space.transforms(self.problem.model, part)
             rows, strains = self._ways(poses)
             easiest = np.argsort(strains, axis=1, kind="stable")[:, :LOOKS]
             tried = np.take_along_axis(rows[:, :, 0], easiest, axis=1)
-            pose, look = np.nonzero(tried != NONE)
-            self.report.robot_checks += len(pose)
             reached = np.zeros(len(part), dtype=bool)
-            np.logical_or.at(reached, pose, self._robot.kinematic(poses[pose], tried[pose, look]))
+            for look in range(tried.shape[1]):
+                asked = np.flatnonzero((tried[:, look] != NONE) & ~reached)
+                if len(asked):
+                    reached[asked] = self._robot.kinematic(poses[asked], tried[asked, look])
+                    self.report.robot_checks += len(asked)
             found.append(part[reached])
             if sum(map(len, found)) >= most:
                 break
