@@ -38,15 +38,6 @@ class Robot(Protocol):
         """Return whether it can be at a pose (4, 4) with a grasp, free of collisions: dear."""
 
 
-FROM_PERSON = 0.5  # cosine between gripper and the person's reach above which the robot would come from their side
-GOOD_GRASPS = 8  # the best at the goal, by which a search for a goal starts,
-GOOD_SHARE = 0.5  # if they are in the better half of the range of costs there
-NEARBY = 0.15  # share of the distance between elites within which the robot's reach is the same, most probably
-BESIDE_THE_WAY = 0.3  # of the scatter
-BATCH = 48  # entries for which the robot is asked together
-CHUNK = 2000  # poses looked at together in the exhaustive mode
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What is to be decided, and what is known.
