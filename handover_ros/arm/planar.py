@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray
 
 JOINTS = ("shoulder", "elbow")
 POINTS = 60  # of an object's outline
+LEAST_POSTURES = 3  # with which a random object can be taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,24 +54,60 @@ class PlanarArm:
         return np.asarray(postures[within])
 
 
-def random_object(arm: PlanarArm, rng: np.random.Generator, points: int = POINTS) -> FloatArray:
-    """Return the feasible set (k, 2) [rad] of a random object within reach: the graspable parts of its outline.
+@dataclass(frozen=True, eq=False)
+class PlanarObject:
+    """A closed outline in the plane, some of which can be grasped.
 
-    The outline is a closed curve of random size and shape at a random place; one to three stretches of it can be
-    grasped, so that feasible sets may fall into parts (figures 4.5 and 4.6).
+    Attributes:
+        radius: Of the outline's points about the object's centre, at equal angles [m], shape (n,).
+        graspable: Which points can be grasped, shape (n,).
+        centre: Where the object is [m], shape (2,).
+        turn: How it is turned [rad].
+    """
+
+    radius: FloatArray
+    graspable: npt.NDArray[np.bool_]
+    centre: FloatArray
+    turn: float = 0.0
+
+    @property
+    def outline(self) -> FloatArray:
+        """The outline's points (n, 2) [m]."""
+        angle = self.turn + np.linspace(0.0, 2.0 * np.pi, len(self.radius), endpoint=False)
+        return np.asarray(self.centre + self.radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+    def feasible(self, arm: PlanarArm) -> FloatArray:
+        """Return all displacements (k, 2) [rad] with the hand at a graspable point."""
+        return arm.inverse(self.outline[self.graspable])
+
+
+def any_object(arm: PlanarArm, rng: np.random.Generator, points: int = POINTS) -> PlanarObject:
+    """Return a random object at a random place, within reach or not.
+
+    The outline is a closed curve of random size and shape; one to three stretches of it can be grasped, so that feasible
+    sets may fall into parts (figures 4.5 and 4.6).
     """
     reach = arm.upper_arm + arm.forearm
+    distance, bearing = reach * rng.uniform(0.35, 1.0), rng.uniform(-np.pi, np.pi)
+    centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
+    size, wobble, phase = reach * rng.uniform(0.1, 0.35), rng.uniform(0.0, 0.4), rng.uniform(0.0, 2.0 * np.pi)
+    angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
+    radius = size * (1.0 + wobble * np.cos(rng.integers(2, 5) * angle + phase))
+    graspable = np.zeros(points, dtype=bool)
+    for _ in range(rng.integers(1, 4)):
+        start, length = rng.integers(points), rng.integers(points // 12, points // 3)
+        graspable[np.arange(start, start + length) % points] = True
+    return PlanarObject(radius, graspable, centre)
+
+
+def random_planar_object(arm: PlanarArm, rng: np.random.Generator, points: int = POINTS) -> PlanarObject:
+    """Return a random object that can be taken in three ways or more."""
     while True:
-        distance, bearing = reach * rng.uniform(0.35, 1.0), rng.uniform(-np.pi, np.pi)
-        centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
-        size, wobble, phase = reach * rng.uniform(0.1, 0.35), rng.uniform(0.0, 0.4), rng.uniform(0.0, 2.0 * np.pi)
-        angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
-        radius = size * (1.0 + wobble * np.cos(rng.integers(2, 5) * angle + phase))
-        outline = centre + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        graspable = np.zeros(points, dtype=bool)
-        for _ in range(rng.integers(1, 4)):
-            start, length = rng.integers(points), rng.integers(points // 12, points // 3)
-            graspable[np.arange(start, start + length) % points] = True
-        postures = arm.inverse(outline[graspable])
-        if len(postures) >= 3:
-            return postures
+        found = any_object(arm, rng, points)
+        if len(found.feasible(arm)) >= LEAST_POSTURES:
+            return found
+
+
+def random_object(arm: PlanarArm, rng: np.random.Generator, points: int = POINTS) -> FloatArray:
+    """Return the feasible set (k, 2) [rad] of a random object within reach: the graspable parts of its outline."""
+    return random_planar_object(arm, rng, points).feasible(arm)

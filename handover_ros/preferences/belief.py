@@ -15,7 +15,7 @@ from scipy.special import expit, logsumexp
 
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
-from handover_ros.preferences.likelihood import log_likelihood
+from handover_ros.preferences.likelihood import log_likelihood, log_likelihoods
 from handover_ros.preferences.prior import Normal, Prior
 from handover_ros.preferences.query import Answer, IntArray, Query
 from handover_ros.preferences.space import People
@@ -159,8 +159,8 @@ def _past_fit(belief: Belief, particles: FloatArray) -> FloatArray:
     fit = np.zeros(len(particles))
     if belief.summary is not None:
         fit = belief.summary.fit(particles, belief.prior)
-    for observation in belief.history:
-        fit = belief.retention * fit + log_likelihood(people, observation.query, observation.answer)
+    for likelihood in log_likelihoods(people, ((each.query, each.answer) for each in belief.history)):
+        fit = belief.retention * fit + likelihood
     return fit
 
 

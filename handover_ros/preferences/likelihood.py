@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,9 +25,22 @@ def log_likelihood(people: People, query: Query, answer: Answer) -> FloatArray:
     most likely configuration.
     """
     every = _log_sums(people, query.rows, query.attraction)
+    return _log_sums_of_answer(people, query, answer) - every
+
+
+def log_likelihoods(people: People, answered: Iterable[tuple[Query, Answer]]) -> Iterator[FloatArray]:
+    """Yield ``log_likelihood`` (n,) of one answer after the other; what a query offers is summed once, however often."""
+    offered: dict[int, FloatArray] = {}
+    for query, answer in answered:
+        if id(query) not in offered:
+            offered[id(query)] = _log_sums(people, query.rows, query.attraction)
+        yield _log_sums_of_answer(people, query, answer) - offered[id(query)]
+
+
+def _log_sums_of_answer(people: People, query: Query, answer: Answer) -> FloatArray:
+    """Return the log sums (n,) over the configurations that may have been chosen."""
     rows = np.ascontiguousarray(query.rows[:, answer.places])
-    some = _log_sums(people, rows, query.attraction[answer.places] + np.log(answer.shares))
-    return some - every
+    return _log_sums(people, rows, query.attraction[answer.places] + np.log(answer.shares))
 
 
 def _log_sums(people: People, rows: FloatArray, attraction: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from handover_ros.preferences.choice_kernels import costs_of, exp_below_one, gre
 from handover_ros.preferences.likelihood import (
     choice_probabilities,
     log_likelihood,
+    log_likelihoods,
     region_probabilities,
     survey,
 )
@@ -57,6 +58,16 @@ def test_every_form_of_the_choice_agrees(seed):
         np.testing.assert_allclose(
             np.exp(log_likelihood(people, query, each)), plain_likelihood(people, query, each), rtol=1e-9
         )
+
+
+@given(seeds)
+def test_likelihoods_of_many_answers_are_those_of_each(seed):
+    rng = np.random.default_rng(seed)
+    menu, space = [random_query(rng) for _ in range(2)], whole_space()
+    people = space.people(space.spread(7, rng))
+    answered = [(query, chosen(int(rng.integers(len(query))))) for query in (menu[0], menu[1], menu[0], menu[0])]
+    together = list(log_likelihoods(people, answered))
+    np.testing.assert_array_equal(together, [log_likelihood(people, query, answer) for query, answer in answered])
 
 
 @given(seeds)
