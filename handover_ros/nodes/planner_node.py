@@ -130,10 +130,14 @@ class PlannerNode(HandoverNode):
         if profile is None or profile is self.prepared:
             return
         self.prepared = profile
+        self.executor.create_task(self.prepare_all, profile)
+
+    async def prepare_all(self, profile: Profile) -> None:
+        """Prepare object by object, so that a request waits for one of them at most."""
         for scheme in self.planner.schemes.values():
             if isinstance(scheme, PersonalScheme):
                 for name in self.planner.motion.catalogue:
-                    self.worker.submit(self.prepare, scheme, name, profile)
+                    await self.worker.submit(self.prepare, scheme, name, profile)
 
     def prepare(self, scheme: PersonalScheme, name: str, profile: Profile) -> None:
         """Find the postures of a person with an object before they are asked for; runs in the worker thread."""
