@@ -259,6 +259,25 @@ def objects(
     raise typer.Exit(run_objects(request, console))
 
 
+@app.command()
+def study(
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="chapter4; chapter2, chapter3 and all are to come.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer people and particles.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; the numbers are the same for any.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of people, menus and answers.")] = 1,
+    json_file: JsonOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder of everything; an interrupted run goes on there."),
+    ] = None,
+) -> None:
+    """Repeat the dissertation's experiments in simulation: tables, figures, and a verdict for every claim."""
+    from handover_ros.studies.study_command import StudyRequest, run_study
+
+    request = StudyRequest(name=name, quick=quick, jobs=jobs, seed=seed, json_file=json_file, out=out)
+    raise typer.Exit(run_study(request, console))
+
+
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def run(
     context: typer.Context,

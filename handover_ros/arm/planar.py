@@ -84,8 +84,8 @@ class PlanarObject:
 def any_object(arm: PlanarArm, rng: np.random.Generator, points: int = POINTS) -> PlanarObject:
     """Return a random object at a random place, within reach or not.
 
-    The outline is a closed curve of random size and shape; one to three stretches of it can be grasped, so that feasible
-    sets may fall into parts (figures 4.5 and 4.6).
+    The outline is a closed curve of random size and shape; one to three stretches of it can be grasped, so that
+    feasible sets may fall into parts (figures 4.5 and 4.6).
     """
     reach = arm.upper_arm + arm.forearm
     distance, bearing = reach * rng.uniform(0.35, 1.0), rng.uniform(-np.pi, np.pi)

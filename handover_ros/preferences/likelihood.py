@@ -29,7 +29,7 @@ def log_likelihood(people: People, query: Query, answer: Answer) -> FloatArray:
 
 
 def log_likelihoods(people: People, answered: Iterable[tuple[Query, Answer]]) -> Iterator[FloatArray]:
-    """Yield ``log_likelihood`` (n,) of one answer after the other; what a query offers is summed once, however often."""
+    """Yield ``log_likelihood`` (n,) of one answer after the other; what a query offers is summed once."""
     offered: dict[int, FloatArray] = {}
     for query, answer in answered:
         if id(query) not in offered:

@@ -21,7 +21,7 @@ from handover_ros.studies.chapter4_settings import ArmSettings, Chapter4Settings
 from handover_ros.studies.heldout import heldout
 from handover_ros.studies.learning import Course
 from handover_ros.studies.planar_courses import Learned
-from handover_ros.studies.seeds import generator
+from handover_ros.studies.seeds import anybody, generator
 
 TRIES = 3000  # of poses until the person can take the object
 
@@ -104,7 +104,7 @@ def arm_course(settings: Chapter4Settings, learned: Learned, person: int, seed: 
     scenario = f"arm_{learned}"
     rng = generator(seed, scenario, person)
     space, offers = seven_space(settings, learned), offering(settings.arm)
-    truth = rng.uniform(*space.bounds)
+    truth = anybody(space, rng)
     # As many of each object, so that a preference for one shows; of an odd number one more of the first.
     menu = tuple(offers.query(offers.models[place % 2], rng) for place in range(settings.menu))
     tests = [offers.query(offers.models[place % 2], rng) for place in range(settings.arm.test_poses)]
@@ -128,7 +128,7 @@ def user_course(settings: Chapter4Settings, person: int, seed: int) -> Course:
     study = settings.user_study
     rng = generator(seed, "user_study", person)
     space, offers = seven_space(settings, "neutral"), offering(settings.arm)
-    truth = rng.uniform(*space.bounds)
+    truth = anybody(space, rng)
     menu = tuple(offers.query(model, rng) for model in offers.models for _ in range(study.poses))
     tests = [offers.query(model, rng) for model in offers.models for _ in range(study.test_poses)]
     return Course(

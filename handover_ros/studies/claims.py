@@ -55,15 +55,13 @@ class Claim:
         }
 
 
-def tested(
-    name: str, chapter: int, text: str, dissertation: str, ours: str, comparisons: Sequence[Comparison], rule: str = ""
+def settled(
+    name: str, chapter: int, text: str, dissertation: str, ours: str, comparisons: Sequence[Comparison]
 ) -> Claim:
     """Return a claim that is reproduced when every comparison is significant in its direction."""
     verdict: Verdict = "reproduced" if all(each.significant for each in comparisons) else "not reproduced"
     names = "; ".join(dict.fromkeys(each.test for each in comparisons))
-    return Claim(
-        name, chapter, text, dissertation, ours, rule or f"each p < 0.05 ({names})", tuple(comparisons), verdict
-    )
+    return Claim(name, chapter, text, dissertation, ours, f"p < 0.05 in each: {names}", tuple(comparisons), verdict)
 
 
 def for_people(name: str, chapter: int, text: str, dissertation: str) -> Claim:

@@ -18,7 +18,7 @@ from handover_ros.studies.arm_courses import offering, seven_space
 from handover_ros.studies.chapter4_settings import Chapter4Settings
 from handover_ros.studies.heldout import choice
 from handover_ros.studies.planar_courses import ARM, planar_query, planar_space
-from handover_ros.studies.seeds import generator
+from handover_ros.studies.seeds import anybody, generator
 from handover_ros.studies.tables import Rows
 
 GRID = 60  # points of a likelihood function in each direction
@@ -109,7 +109,7 @@ def likelihood_distances(settings: Chapter4Settings, seed: int) -> Rows:
     for kind, objects in (("shape", shape_gallery), ("pose", pose_gallery)):
         queries = [planar_query(each.feasible(ARM)) for each in objects(settings, seed)]
         for number in range(PAIRS):
-            person = space.people(rng.uniform(*space.bounds)[None])
+            person = space.people(anybody(space, rng)[None])
             first, second = rng.choice(len(queries), 2, replace=False)
             functions = []
             for place in (first, first, second):

@@ -13,7 +13,7 @@ from handover_ros.preferences.space import PreferenceSpace
 from handover_ros.studies.chapter4_settings import Chapter4Settings
 from handover_ros.studies.heldout import heldout
 from handover_ros.studies.learning import Course
-from handover_ros.studies.seeds import generator
+from handover_ros.studies.seeds import anybody, generator
 
 Learned = Literal["neutral", "weights"]
 ARM = PlanarArm()
@@ -21,7 +21,7 @@ ARM = PlanarArm()
 
 def planar_query(postures: FloatArray, name: str = "") -> Query:
     """Return the query that a feasible set (k, 2) [rad] is: all configurations count the same, as in (4.3)."""
-    return Query(postures, np.ones(len(postures)), np.zeros(len(postures)), ("object",), name)
+    return Query(postures, np.ones(len(postures)), np.zeros(len(postures), dtype=np.int64), ("object",), name)
 
 
 def planar_space(settings: Chapter4Settings, learned: Learned) -> PreferenceSpace:
@@ -38,7 +38,7 @@ def planar_course(settings: Chapter4Settings, learned: Learned, person: int, see
     scenario = f"planar_{learned}"
     rng = generator(seed, scenario, person)
     space = planar_space(settings, learned)
-    truth = rng.uniform(*space.bounds)
+    truth = anybody(space, rng)
     menu = tuple(planar_query(random_object(ARM, rng), f"object {place}") for place in range(settings.menu))
     tests = [planar_query(random_object(ARM, rng)) for _ in range(settings.planar.test_objects)]
     return Course(
@@ -74,7 +74,7 @@ def artificial_course(settings: Chapter4Settings, person: int, seed: int) -> Cou
         scenario="artificial",
         person=person,
         space=space,
-        truth=rng.uniform(*space.bounds),
+        truth=anybody(space, rng),
         menu=menu,
         objects=tuple(query.name for query in menu),
         tests=None,
