@@ -104,7 +104,6 @@ class Run:
     began: float  # [s] steady wall time
     awaited: set[str]  # required nodes that were silent when the goal came
     plan: HandoverPlan | None = None
-    choice: GraspChoice | None = None  # how the person took the object
     last_feedback: float = 0.0
     last_phase: Phase | None = None
     cancelled: bool = False
@@ -245,7 +244,7 @@ class ExecutiveNode(HandoverNode):
         )
         if run.plan is not None:
             result.plan = run.plan
-            result.choice = run.choice or GraspChoice(handover_id=run.handover_id, plan_id=run.plan.plan_id)
+            result.choice = self.view.taken_choice(run.handover_id, run.plan.plan_id)
         if outcome.taken:
             self.choice_publisher.publish(result.choice)
         self.publish_state("idle", outcome.message)
@@ -293,7 +292,7 @@ class ExecutiveNode(HandoverNode):
             self.view.feeling = run.plan.arm if run.plan and protocol.phase is Phase.WAITING else ""
             if protocol.phase is Phase.RELEASING and run.plan is not None:
                 # Now: both hold the object where it was offered, the person as they chose.
-                run.choice = self.view.choice(run.handover_id, run.plan)
+                self.view.note_taking(run.handover_id, run.plan)
             self.publish_state(protocol.phase.value, protocol.message, run)
         if (changed or wall - run.last_feedback >= FEEDBACK_PERIOD) and not protocol.finished:
             run.last_feedback = wall

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
+
 import numpy as np
 from handover_msgs.msg import (
     ActiveProfile,
@@ -20,7 +23,7 @@ from handover_ros.cell.safety import Freshness
 from handover_ros.cell.touch import PullDetector
 from handover_ros.errors import HandoverError, StaleDataError
 from handover_ros.geometry import invert_transform, transform_from_pose
-from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transform_from_message
+from handover_ros.nodes.convert import numpy_array, pose_message, seconds_from_stamp, transform_from_message
 from handover_ros.nodes.convert_belief import fill_choice
 from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, monotonic
@@ -30,7 +33,7 @@ from handover_ros.robot.model import RobotModel
 from handover_ros.skeleton.profile import Profile
 
 AT_REST = 0.02  # [rad/s] of an arm that stands still
-POSTURE_AGE = 0.5  # [s] of ROS time by which the tracked posture may be older than the moment of taking
+LATEST = 0.3  # [s] after the moment of taking, of the state it is read from
 
 
 class ExecutiveView:
@@ -54,7 +57,8 @@ class ExecutiveView:
         self.hand_markers: list[int] = []
         self.profile: Profile | None = None
         self.markers: MarkerFrame | None = None
-        self.skeleton: SkeletonState | None = None
+        self.choice: GraspChoice | None = None  # how the person takes what is offered
+        self.unread = ""  # why that is not known; empty: it is, or nothing was taken
         self.hands: list[Subscription] = []
         node.create_subscription(JointState, "robot/joint_states", self.on_joint_state, SENSOR_CONSUMER)
         node.create_subscription(GripperState, "robot/gripper_state", self.on_gripper_state, SENSOR_CONSUMER)
@@ -108,14 +112,22 @@ class ExecutiveView:
             self.profile = profile_from_message(message)
         except HandoverError:
             self.profile = None
+        if self.profile is not None:
+            threading.Thread(target=self._load, args=[self.profile], daemon=True, name="load").start()
+
+    def _load(self, profile: Profile) -> None:
+        """Load what reads a choice before it is needed: at the first time that takes a second, and the robot moves."""
+        with contextlib.suppress(HandoverError):
+            observed_choice(next(iter(self.catalogue.values())), np.eye(4), profile.skeleton, profile.skeleton.middle)
 
     def on_markers(self, message: MarkerFrame) -> None:
         """Keep the newest marker frame; it is read when needed."""
         self.markers = message
 
     def on_skeleton(self, message: SkeletonState) -> None:
-        """Keep the newest state of the person; it is read when needed."""
-        self.skeleton = message
+        """Read from the person's state how they took something, if that is awaited."""
+        if self.unread:
+            self.read_choice(message)
 
     def watch_hands(self, watch: bool) -> None:
         """Receive the person's streams only while hands matter: at 240 Hz they are most of this node's work."""
@@ -128,7 +140,7 @@ class ExecutiveView:
         elif not watch and self.hands:
             for subscription in self.hands:
                 node.destroy_subscription(subscription)
-            self.hands, self.markers, self.skeleton = [], None, None
+            self.hands, self.markers = [], None
 
     def on_marker_set(self, message: MarkerSet) -> None:
         """Find the markers on the hands."""
@@ -145,11 +157,8 @@ class ExecutiveView:
         distances = np.linalg.norm(positions[self.hand_markers] - pose[:3], axis=1)
         return float(np.nanmin(distances)) if np.isfinite(distances).any() else float("nan")
 
-    def choice(self, handover_id: str, plan: HandoverPlan) -> GraspChoice:
-        """Return how the person holds the object at this moment, from markers and tracking.
-
-        What is not known stays empty; the log says why.
-        """
+    def note_taking(self, handover_id: str, plan: HandoverPlan) -> None:
+        """Have the choice read from the person's state of this moment, when it comes in: tracking lags a little."""
         choice = GraspChoice(handover_id=handover_id, plan_id=plan.plan_id, object_name=plan.object_name)
         choice.header.stamp = self.node.get_clock().now().to_msg()
         choice.header.frame_id = plan.header.frame_id
@@ -157,32 +166,51 @@ class ExecutiveView:
         choice.arm = plan.arm
         for unknown in (choice.object_from_hand, choice.torso):
             unknown.orientation.w = 0.0
-        try:
-            self._fill(choice)
-        except HandoverError as error:
-            self.node.get_logger().info(f"how {plan.object_name} was taken is not known: {error}")
+        if self.profile is not None:
+            choice.profile_id = self.profile.profile_id
+        pose = self.objects.get(plan.object_name)
+        if pose is not None and np.isfinite(pose).all():
+            choice.handover_pose = pose_message(transform_from_pose(pose))
+        self.choice, self.unread = (
+            choice,
+            "no state of the person came in since" if self.profile else "nobody is active",
+        )
+
+    def taken_choice(self, handover_id: str, plan_id: str) -> GraspChoice:
+        """Return how the person took the object; what is not known stays empty, and the log says why."""
+        choice, self.choice = self.choice, None
+        if choice is None or choice.handover_id != handover_id:
+            return GraspChoice(handover_id=handover_id, plan_id=plan_id)
+        if self.unread:
+            self.node.get_logger().info(f"how {choice.object_name} was taken is not known: {self.unread}")
         return choice
 
-    def _fill(self, choice: GraspChoice) -> None:
+    def read_choice(self, state: SkeletonState) -> None:
+        """Read the choice that was noted from the first state of that moment or later."""
+        choice, profile = self.choice, self.profile
+        if choice is None or not self.unread or profile is None:
+            return
+        late = seconds_from_stamp(state.header.stamp) - seconds_from_stamp(choice.header.stamp)
+        if late < 0.0:
+            return
+        try:
+            if late > LATEST:
+                raise StaleDataError(f"the person was not tracked for {late:.2f} s")
+            self._fill(choice, profile, state)
+            self.unread = ""
+        except HandoverError as error:
+            self.unread = str(error)
+
+    def _fill(self, choice: GraspChoice, profile: Profile, state: SkeletonState) -> None:
         """Fill in hand, region and posture.
 
         Raises:
             HandoverError: They are not known.
         """
-        profile, state = self.profile, self.skeleton
-        if profile is None:
-            raise StaleDataError("no profile is active")
-        choice.profile_id = profile.profile_id
-        if state is None or not state.valid or state.profile_id != profile.profile_id:
+        if not state.valid or state.profile_id != profile.profile_id:
             raise StaleDataError("the person is not tracked with the active profile")
-        age = seconds_from_stamp(choice.header.stamp) - seconds_from_stamp(state.header.stamp)
-        if abs(age) > POSTURE_AGE:
-            raise StaleDataError(f"the tracked posture is {age:.2f} s old")
         world_from_torso = transform_from_message(state.torso.pose, "torso")
-        pose = self.objects.get(choice.object_name)
         world_from_object = transform_from_message(choice.handover_pose, "handover_pose")
-        if pose is not None and np.isfinite(pose).all():
-            world_from_object = transform_from_pose(pose)
         names = profile.skeleton.displacement_names
         values = dict(zip(state.joint_names, state.displacements, strict=False))
         displacements = np.array([values.get(name, np.nan) for name in names])
@@ -191,8 +219,5 @@ class ExecutiveView:
             covariance = numpy_array(state.covariance, len(names), len(names))
         model = self.catalogue[choice.object_name]
         torso_from_object = invert_transform(world_from_torso) @ world_from_object
-        fill_choice(
-            choice,
-            observed_choice(model, torso_from_object, profile.skeleton, displacements, covariance),
-            world_from_torso,
-        )
+        seen = observed_choice(model, torso_from_object, profile.skeleton, displacements, covariance)
+        fill_choice(choice, seen, world_from_torso)

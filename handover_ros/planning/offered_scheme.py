@@ -15,7 +15,7 @@ from handover_ros.planning.offers import HandoverTask, Offer
 from handover_ros.planning.problem import Candidate
 from handover_ros.planning.types import ChosenOffer
 
-SAME = 1e-3  # [m] and difference of rotation matrices within which two grasps are the same
+SAME = 0.03  # [m] and difference of rotation matrices within which two grasps are the same; held things slip a little
 
 
 @dataclass(frozen=True)

@@ -155,8 +155,9 @@ def draw_offers(folder: Path, settings: Chapter4Settings, seed: int, name: str) 
                     axes.plot(*query.configurations[kept][:, [first, second]].T, ".", color=colour)
             size = f"{parts(query.configurations)} parts, spread {spread(query.configurations):.1f} rad"
             line[0].set_title(f"{query.name}: hand in the torso frame")
-            line[0].set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-            line[0].legend(frameon=False, loc="best")
+            line[0].plot(*offers.arm.shoulder[:2], "o", color="#9a9a9a", label="shoulder")
+            line[0].set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-0.2, 0.9), ylim=(-0.8, 0.45))
+            line[0].legend(frameon=False, loc="upper right")
             for axes, (across, up, first, second) in zip(line[1:], views):
                 axes.set(xlabel=f"{across.replace('_', ' ')} [rad]", ylabel=f"{up.replace('_', ' ')} [rad]")
                 axes.set(xlim=offers.arm.limits[:, first], ylim=offers.arm.limits[:, second])

@@ -87,7 +87,7 @@ def test_what_cannot_be_offered_is_refused(mugs):
 def test_menus_that_cannot_be_are_refused():
     with pytest.raises(StaleDataError):
         menu(PLANNER, SCHEME, "mug", snapshot(person=None), 3)
-    with pytest.raises(InfeasibleError, match="not seen|does not see|seen"):
+    with pytest.raises(InfeasibleError, match="seen"):
         menu(PLANNER, SCHEME, "mug", snapshot(objects={}), 3)
     away = snapshot(person=TrackedPerson(torso(x=5.0)))
     with pytest.raises(InfeasibleError, match="no handover of mug"):
