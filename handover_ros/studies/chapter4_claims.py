@@ -278,14 +278,19 @@ def _preferred(rows: Rows, scenario: str, objects: Sequence[str], where: str) ->
     """Return the claim that active chooses one object and passive the other, of menus with as many of each."""
     share = {each: shares(rows, scenario, each, objects[0]) for each in ("active", "passive")}
     comparisons = [against(share["active"], 0.5, "greater"), against(share["passive"], 0.5, "less")]
+    first = [
+        100.0
+        * np.mean([row["object"] == objects[0] for row in only(rows, scenario=scenario, strategy=each, iteration=1)])
+        for each in ("active", "passive")
+    ]
     return settled(
         f"{scenario}_objects",
         CHAPTER,
         f"{where}: active prefers {objects[0]}, passive {objects[1]} (half of the menu each)",
         "section 4.7: active the handlebars exclusively, passive only the lock",
         f"{objects[0]} in {100.0 * share['active'].mean():.0f} % of active's and "
-        f"{100.0 * share['passive'].mean():.0f} % of passive's queries; over one half by {comparisons[0].told()} and "
-        f"{comparisons[1].told()}",
+        f"{100.0 * share['passive'].mean():.0f} % of passive's queries ({first[0]:.0f} % and {first[1]:.0f} % of the "
+        f"first ones); over one half by {comparisons[0].told()} and {comparisons[1].told()}",
         comparisons,
     )
 

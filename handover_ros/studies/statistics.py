@@ -13,6 +13,7 @@ from handover_ros.geometry import FloatArray
 
 LEVEL = 0.05  # below which a difference is not chance
 CONFIDENCE = 0.95
+ROUNDING = 1e-12  # share of the largest difference, within which all are the same
 Direction = Literal["greater", "less"]
 
 
@@ -60,7 +61,7 @@ def against(values: npt.ArrayLike, middle: float, direction: Direction, test: st
     differences = differences[np.isfinite(differences)]
     name = f"{test}, {direction}"
     mean, count = float(differences.mean()) if len(differences) else float("nan"), len(differences)
-    if count < 2 or np.ptp(differences) == 0.0:
+    if count < 2 or np.ptp(differences) <= ROUNDING * np.abs(differences).max():
         # Without any scatter there is no t; all alike in the right direction is certain, anything else is not.
         right = count >= 2 and (mean > 0.0 if direction == "greater" else mean < 0.0)
         return Comparison(name, mean, mean, mean, float("nan"), 0.0 if right else 1.0, count)

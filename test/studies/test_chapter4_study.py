@@ -115,7 +115,9 @@ def test_whoever_is_better_decides_the_verdict():
 
     def measures(sign):
         def change(row):
-            better = sign * rank.get(row["strategy"], 0.0) + 0.01 * ((7 * row["person"]) % 5)
+            better = sign * rank.get(row["strategy"], 0.0) + 0.01 * np.sin(
+                row["person"] + 10.0 * rank.get(row["strategy"], 0.0)
+            )
             return {"log_density": better, "distance": -better, "test_log_likelihood": better}
 
         return change
