@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
-from typing import Any
 
 from handover_msgs.msg import ActiveProfile, CalibrationProgress, MarkerFrame, MarkerSet
 from handover_msgs.srv import (
@@ -38,7 +37,6 @@ from handover_ros.nodes.runtime import (
     SENSOR_PUBLISHER,
     HandoverNode,
     Worker,
-    answer,
     main_of,
     monotonic,
 )
@@ -88,7 +86,7 @@ class CalibrationNode(HandoverNode):
         self.marker_set: MarkerSet | None = None
         self.session: CalibrationSession | None = None
         self.stream: StreamReader | None = None
-        self.phase, self.sentence, self.last_problem = IDLE, "", ""
+        self.phase, self.sentence = IDLE, ""
         self.fit_progress = (0.0, NAN)
         self.cancelled = threading.Event()
         self.last_frame = monotonic()
@@ -111,20 +109,9 @@ class CalibrationNode(HandoverNode):
             (ActivateProfile, "activate_profile", self.activate_profile),
             (DeleteProfile, "delete_profile", self.delete_profile),
         ):
-            self.create_service(service, f"calibration/{name}", self.answering(work), callback_group=group)
+            self.serve(service, f"calibration/{name}", work, group)
         self.publish_active()
         self.ready(f"{len(self.known_names())} profiles in {self.store.directory}")
-
-    def answering(self, work: Any) -> Any:
-        """Return the service callback that awaits ``work``; what it raises becomes the answer."""
-
-        async def callback(request: Any, response: Any) -> Any:
-            await answer(response, work(request, response), self)
-            if not response.success:
-                self.last_problem = response.message
-            return response
-
-        return callback
 
     def known_names(self) -> tuple[str, ...]:
         """Return the names of the stored profiles; none where the store cannot be read, which a request would tell."""

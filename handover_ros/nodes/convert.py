@@ -22,6 +22,7 @@ from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray, pose_from_transform, transform_from_pose
 
 NANOSECONDS = 1_000_000_000
+WORLD = "world"  # the frame of everything planned; REP-105
 
 
 def seconds_from_stamp(stamp: Time) -> float:
@@ -85,6 +86,16 @@ def transform_from_message(pose: Pose, field: str = "pose") -> FloatArray:
         return transform_from_pose(values)
     except ValueError as error:
         raise BadRequestError(f"{field}: {error}") from None
+
+
+def check_frame(frame: str, field: str) -> None:
+    """Refuse poses in another frame than the world; empty: the world.
+
+    Raises:
+        BadRequestError: Names the field and the frame.
+    """
+    if frame not in ("", WORLD):
+        raise BadRequestError(f"{field}: frame {frame!r} is not known; give it in {WORLD!r}")
 
 
 def is_unset(pose: Pose) -> bool:

@@ -14,11 +14,16 @@ from handover_ros.cell.preference_learner import OfferedHandover, PreferenceLear
 from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.geometry import FloatArray
-from handover_ros.nodes.convert import float_array, is_unset, numpy_array, pose_message, transform_from_message
+from handover_ros.nodes.convert import (
+    check_frame,
+    float_array,
+    is_unset,
+    numpy_array,
+    pose_message,
+    transform_from_message,
+)
 from handover_ros.planning.types import ChosenOffer
 from handover_ros.preferences.observed import ObservedChoice
-
-WORLD = "world"
 
 
 def belief_message(learner: PreferenceLearner, stamp: Time) -> BeliefSummary:
@@ -56,13 +61,15 @@ def preference_from_message(message: BeliefSummary, kind: str) -> Preference:
     )
 
 
-def chosen_offer(message: HandoverPlan) -> ChosenOffer:
+def chosen_offer(message: HandoverPlan, object_name: str) -> ChosenOffer:
     """Return the offer of a menu.
 
     Raises:
-        BadRequestError: A pose is not finite, or its frame is not known.
+        BadRequestError: It is of another object, a pose is not finite, or its frame is not known.
     """
-    _check_frame(message.header.frame_id, "offer")
+    if message.object_name != object_name:
+        raise BadRequestError(f"offer: is of {message.object_name!r}, but object_name is {object_name!r}")
+    check_frame(message.header.frame_id, "offer")
     return ChosenOffer(
         transform_from_message(message.handover_pose, "offer: handover_pose"),
         transform_from_message(message.object_from_gripper, "offer: object_from_gripper"),
@@ -75,7 +82,7 @@ def offered_handover(message: HandoverPlan, world_from_torso: FloatArray) -> Off
     Raises:
         BadRequestError: A pose is not finite, or its frame is not known.
     """
-    offer = chosen_offer(message)
+    offer = chosen_offer(message, message.object_name)
     return OfferedHandover(
         message.object_name, offer.world_from_object, world_from_torso, message.arm, offer.object_from_gripper
     )
@@ -88,7 +95,7 @@ def taken_handover(message: GraspChoice) -> TakenHandover:
         BadRequestError: A pose that is needed is missing or not finite, or a number or its frame cannot be used.
         UnknownNameError: There is no such hand.
     """
-    _check_frame(message.header.frame_id, "choice")
+    check_frame(message.header.frame_id, "choice")
     if message.hand not in SIDES:
         raise UnknownNameError("hand", message.hand, SIDES)
     if is_unset(message.torso):
@@ -122,9 +129,3 @@ def fill_choice(message: GraspChoice, seen: ObservedChoice, world_from_torso: Fl
     message.joint_names = list(JOINT_NAMES)
     message.displacements = float_array(seen.posture)
     message.covariance = float_array(np.ravel(seen.covariance))
-
-
-def _check_frame(frame: str, what: str) -> None:
-    """Refuse another frame than the world."""
-    if frame not in ("", WORLD):
-        raise BadRequestError(f"{what}: frame {frame!r} is not known; give it in {WORLD!r}")

@@ -13,12 +13,11 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
 from handover_ros.geometry import FloatArray, pose_from_transform
-from handover_ros.nodes.convert import pose_message, trajectory_message
+from handover_ros.nodes.convert import WORLD, pose_message, trajectory_message
 from handover_ros.objects.catalogue import ObjectModel, Primitive
 from handover_ros.planning.types import HandoverPlan, PredictedChoice
 from handover_ros.robot.trajectory import Trajectory
 
-WORLD = "world"
 AXIS_LENGTH, AXIS_WIDTH = 0.10, 0.008  # [m]
 AXIS_COLOURS = ((0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 0.95))
 OFFER_OPACITY = 0.7

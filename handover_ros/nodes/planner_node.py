@@ -15,9 +15,9 @@ from visualization_msgs.msg import MarkerArray
 from handover_ros.ergonomics.anthropometry import HEAVIEST, LIGHTEST
 from handover_ros.errors import BadRequestError, ErrorCode, HandoverError, InfeasibleError
 from handover_ros.geometry import FloatArray, rotation_angle
-from handover_ros.nodes.convert import transform_from_message
+from handover_ros.nodes.convert import check_frame, transform_from_message
 from handover_ros.nodes.convert_belief import chosen_offer
-from handover_ros.nodes.convert_plan import WORLD, plan_message, plan_visual, trajectory_to_message
+from handover_ros.nodes.convert_plan import plan_message, plan_visual, trajectory_to_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.planner_view import CellView
 from handover_ros.nodes.runtime import (
@@ -25,7 +25,6 @@ from handover_ros.nodes.runtime import (
     POLL_PERIOD,
     HandoverNode,
     Worker,
-    answer,
     main_of,
     monotonic,
 )
@@ -108,7 +107,7 @@ class PlannerNode(HandoverNode):
         self.prepared: Profile | None = None
         self.taken_from: dict[str, FloatArray] = {}  # object -> world_from_object when it was planned to be fetched
         self.numbers = itertools.count(1)
-        self.plans, self.refusals, self.last_problem = 0, 0, ""
+        self.plans, self.refusals = 0, 0
 
         self.worker = Worker(self)
         self.plan_publisher = self.create_publisher(HandoverPlan, "planner/plan", LATCHED)
@@ -116,9 +115,9 @@ class PlannerNode(HandoverNode):
         self.view = CellView(self, robot, self.on_person)
         # Reentrant: a request waits for the one before it, while callbacks go on.
         group = ReentrantCallbackGroup()
-        self.create_service(PlanMotion, "planner/plan_motion", self.plan_motion, callback_group=group)
-        self.create_service(PlanMenu, "planner/plan_menu", self.plan_menu, callback_group=group)
-        self.create_service(PlanHandover, "planner/plan_handover", self.plan_handover, callback_group=group)
+        self.serve(PlanMotion, "planner/plan_motion", self.plan_motion, group)
+        self.serve(PlanMenu, "planner/plan_menu", self.plan_menu, group)
+        self.serve(PlanHandover, "planner/plan_handover", self.plan_handover, group)
         self.say_ready()
 
     # The person
@@ -161,15 +160,7 @@ class PlannerNode(HandoverNode):
 
     # Services
 
-    async def plan_handover(self, request: PlanHandover.Request, response: PlanHandover.Response) -> Any:
-        """Plan a handover."""
-        return await answer(response, self.fill_handover(request, response), self)
-
-    async def plan_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> Any:
-        """Plan a motion of one arm."""
-        return await answer(response, self.fill_motion(request, response), self)
-
-    async def fill_handover(self, request: PlanHandover.Request, response: PlanHandover.Response) -> None:
+    async def plan_handover(self, request: PlanHandover.Request, response: PlanHandover.Response) -> None:
         """Plan in the worker thread, publish the plan and fill the response."""
         wanted = HandoverRequest(
             object_name=request.object_name,
@@ -178,7 +169,7 @@ class PlannerNode(HandoverNode):
             time_budget=request.time_budget,
             world_from_goal=goal_of(request.goal) if request.has_goal else None,
             person_model=request.person_model,
-            offer=chosen_offer(request.offer) if request.has_offer else None,
+            offer=chosen_offer(request.offer, request.object_name) if request.has_offer else None,
         )
         await self.until_first_data()
         give_up = self.seconds_now() + self.parameters["still_wait"]
@@ -191,8 +182,8 @@ class PlannerNode(HandoverNode):
                     break
                 except OutdatedSnapshotError as error:
                     self.last_problem = str(error)
-        except Exception as error:
-            self.refusals, self.last_problem = self.refusals + 1, str(error)
+        except Exception:
+            self.refusals += 1
             raise
         self.plans += 1
         stamp = self.get_clock().now().to_msg()
@@ -208,11 +199,7 @@ class PlannerNode(HandoverNode):
         model = self.planner.motion.object_model(plan.object_name)
         self.visual_publisher.publish(plan_visual(plan, model, snapshot.world_from_torso, stamp))
 
-    async def plan_menu(self, request: PlanMenu.Request, response: PlanMenu.Response) -> Any:
-        """Propose handovers."""
-        return await answer(response, self.fill_menu(request, response), self)
-
-    async def fill_menu(self, request: PlanMenu.Request, response: PlanMenu.Response) -> None:
+    async def plan_menu(self, request: PlanMenu.Request, response: PlanMenu.Response) -> None:
         """Look for handovers in the worker thread and fill the response."""
         if request.count > MOST_PROPOSED or not 0.0 <= request.time_budget <= LONGEST_SEARCH:
             raise BadRequestError(
@@ -297,13 +284,13 @@ class PlannerNode(HandoverNode):
 
         return snapshot, self.planner.plan(wanted, snapshot, outdated)
 
-    async def fill_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> None:
+    async def plan_motion(self, request: PlanMotion.Request, response: PlanMotion.Response) -> None:
         """Plan in the worker thread and fill the response."""
         await self.until_first_data()
         try:
             trajectory = await self.worker.submit(self.work_on_motion, request)
-        except Exception as error:
-            self.refusals, self.last_problem = self.refusals + 1, str(error)
+        except Exception:
+            self.refusals += 1
             raise
         response.trajectory = trajectory_to_message(self.robot.arm(request.arm).joint_names, trajectory)
         response.success = True
@@ -347,8 +334,7 @@ def goal_of(stamped: PoseStamped) -> FloatArray:
     Raises:
         BadRequestError: Not finite, no unit quaternion, or not in the world frame.
     """
-    if stamped.header.frame_id not in ("", WORLD):
-        raise BadRequestError(f"goal: frame {stamped.header.frame_id!r} is not known; give it in {WORLD!r}")
+    check_frame(stamped.header.frame_id, "goal")
     return transform_from_message(stamped.pose, "goal")
 
 

@@ -25,7 +25,6 @@ from handover_ros.nodes.runtime import (
     SENSOR_PUBLISHER,
     HandoverNode,
     Worker,
-    answer,
     main_of,
 )
 from handover_ros.objects import load_catalogue
@@ -81,7 +80,7 @@ class PreferenceNode(HandoverNode):
             ),
         )
         warm_up_preferences()
-        self.counted, self.refused, self.last_problem = 0, 0, ""
+        self.counted, self.refused = 0, 0
         self.worker = Worker(self)
         self.belief_publisher = self.create_publisher(BeliefSummary, "preferences/belief", LATCHED)
         # Reentrant: what waits (for the planner, for the belief) holds up nothing, the worker's answer least of all.
@@ -101,20 +100,9 @@ class PreferenceNode(HandoverNode):
             (GetBelief, "load_belief", self.load_belief),
             (GetBelief, "reset_belief", self.reset_belief),
         ):
-            self.create_service(service, f"preferences/{name}", self.answering(work), callback_group=group)
+            self.serve(service, f"preferences/{name}", work, group)
         self.publish_belief()
         self.say_ready()
-
-    def answering(self, work: Any) -> Any:
-        """Return the service callback that awaits ``work``; what it raises becomes the answer."""
-
-        async def callback(request: Any, response: Any) -> Any:
-            await answer(response, work(request, response), self)
-            if not response.success:
-                self.last_problem = response.message
-            return response
-
-        return callback
 
     # The person, and their answers
 
@@ -188,7 +176,7 @@ class PreferenceNode(HandoverNode):
     async def reset_belief(self, request: GetBelief.Request, response: GetBelief.Response) -> None:
         """Believe nothing of the person; what was stored is kept under another name."""
         await self.worker.submit(self.learner.reset, request.profile_id)
-        self.changed(response, "nothing is believed now; what was stored is kept with the suffix .damaged")
+        self.changed(response, "nothing is believed now; what was stored is kept beside it, with the suffix .aside")
 
     def changed(self, response: Any, message: str) -> None:
         """Publish another belief and answer."""

@@ -69,6 +69,7 @@ class HandoverNode(Node):
         super().__init__(name, **node_arguments)
         self.parameters = ParameterTable(self, parameters)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.last_problem = ""  # for /diagnostics
         self._heartbeat_state = Heartbeat.STARTING
         self._heartbeat_summary = "starting"
         self._heartbeat_publisher = self.create_publisher(Heartbeat, "cell/heartbeat", SENSOR_PUBLISHER)
@@ -118,6 +119,24 @@ class HandoverNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(array)
+
+    def serve(self, service_type: type, name: str, work: Callable[..., Coroutine[Any, Any, None]], group: Any) -> None:
+        """Answer requests by a coroutine ``work(request, response)`` that fills the response.
+
+        Args:
+            service_type: Of the service.
+            name: Of the service.
+            work: Its exceptions become ``success: false`` with code and message, and the node's last problem.
+            group: A reentrant callback group, so that a request that waits holds up no other.
+        """
+
+        async def callback(request: Any, response: Any) -> Any:
+            await answer(response, work(request, response), self)
+            if not response.success:
+                self.last_problem = response.message
+            return response
+
+        self.create_service(service_type, name, callback, callback_group=group)
 
     async def pause(self, seconds: float) -> None:
         """Let a coroutine wait for ``seconds`` of wall time while the executor goes on."""
