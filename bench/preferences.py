@@ -27,7 +27,7 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
     """Return the metrics; prints how long the plain enumeration took."""
     arm = load_arm()
     rng = np.random.default_rng(seed)
-    belief = first_belief(Prior(arm_space(arm)), PARTICLES, seed=seed)
+    belief = first_belief(Prior(arm_space(arm.limits)), PARTICLES, seed=seed)
 
     def query() -> Query:
         postures = rng.uniform(*arm.limits, (CONFIGURATIONS, 7))
@@ -55,7 +55,7 @@ def pairs(seed: int, items: int, rounds: int) -> dict[str, float]:
     """Return how much faster the best of all pairs of items is found than by plain enumeration; the same must win."""
     arm = load_arm()
     rng = np.random.default_rng(seed)
-    belief = first_belief(Prior(arm_space(arm)), SAMPLES, seed=seed)
+    belief = first_belief(Prior(arm_space(arm.limits)), SAMPLES, seed=seed)
     people, weights = belief.people, belief.weights
     postures = rng.uniform(*arm.limits, (items, 7))
     menus = np.array(list(combinations(range(items), 2)))

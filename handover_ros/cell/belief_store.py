@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 from handover_ros.cell.store import StoreError, default_directory
@@ -11,7 +12,7 @@ from handover_ros.preferences.belief_file import SUFFIX, PersonBelief, read_beli
 from handover_ros.skeleton.profile import safe_profile_id
 
 FOLDER = "beliefs"
-DAMAGED = ".damaged"
+ASIDE = ".aside-"  # and a number: what was set aside before stays
 
 
 class BeliefStore:
@@ -66,7 +67,9 @@ class BeliefStore:
         path = self.path(profile_id)
         if not path.exists():
             return None
-        aside = path.with_name(path.name + DAMAGED)
+        aside = next(
+            each for n in itertools.count(1) if not (each := path.with_name(f"{path.name}{ASIDE}{n}")).exists()
+        )
         try:
             path.replace(aside)
             sync_folder(self.directory)

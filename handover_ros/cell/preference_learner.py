@@ -21,7 +21,7 @@ from handover_ros.preferences.prior import Prior, population_prior
 from handover_ros.preferences.query import Answer, Query, posture_answer, region_answer
 from handover_ros.preferences.space import PreferenceSpace, arm_space
 from handover_ros.preferences.strategies import Selection, select
-from handover_ros.preferences.surprise import ANSWERS, has_changed, unlikeliness
+from handover_ros.preferences.surprise import has_changed, unlikeliness
 from handover_ros.skeleton.profile import Profile
 
 SAME = 1e-9  # difference of bounds below which a stored belief is about the same things
@@ -125,14 +125,11 @@ class PreferenceLearner:
         self.person, self.arms, self.problem = None, {}, ""
         if profile is None:
             return
-        arms = _arms(profile)
-        self.arms = arms
-        if not self.store.exists(profile.profile_id):
-            self.person = PersonBelief(profile.profile_id, self._first(profile.profile_id))
-            return
+        self.arms = _arms(profile)
         self.person = PersonBelief(profile.profile_id, self._first(profile.profile_id))
         try:
-            self.person = self._stored(profile.profile_id)
+            if self.store.exists(profile.profile_id):
+                self.person = self._stored(profile.profile_id)
         except HandoverError as error:
             self.problem = f"{error}; preferences/reset_belief starts anew and keeps the old file"
 
@@ -279,7 +276,7 @@ class PreferenceLearner:
     @property
     def changed(self) -> bool:
         """Whether the last answers are unlike the person's answers before."""
-        return self.person is not None and has_changed(self.person.surprises[-ANSWERS:])
+        return self.person is not None and has_changed(self.person.surprises)
 
     def _answer(self, query: Query, taken: TakenHandover) -> Answer:
         """Return the answer as it is to be counted."""
@@ -291,20 +288,13 @@ class PreferenceLearner:
 
     def _space(self) -> PreferenceSpace:
         """Return what is learned: within the limits of either arm."""
-        settings, arms = self.settings, tuple(self.arms.values())
+        settings, limits = self.settings, np.array([arm.limits for arm in self.arms.values()])
         wide = settings.rationality_range
-        space = arm_space(
-            arms[0],
+        return arm_space(
+            np.array([limits[:, 0].min(axis=0), limits[:, 1].max(axis=0)]),
             settings.learn,
-            rationality=settings.rationality
-            if wide == 1.0
-            else (settings.rationality / wide, settings.rationality * wide),
+            rationality=(settings.rationality / wide, settings.rationality * wide),
         )
-        if "neutral" not in settings.learn:
-            return space
-        lower = np.min([arm.limits[0] for arm in arms], axis=0)
-        upper = np.max([arm.limits[1] for arm in arms], axis=0)
-        return PreferenceSpace(space.joints, np.array([lower, upper]), space.weight_bounds, space.rationality_bounds)
 
     def _first(self, profile_id: str) -> Belief:
         """Return what is believed of somebody who has not answered yet."""

@@ -98,10 +98,11 @@ def grid_gain(
     cell = grid_cells(belief) if cells is None else cells
     weights = belief.weights
     probabilities = answer_probabilities(belief.people, query, answers)
-    shares = np.asarray(weights @ probabilities, dtype=float)
+    counted = probabilities
     if most_likely:
-        likely = probabilities.argmax(axis=1)
-        shares = np.asarray(np.bincount(likely, weights, minlength=probabilities.shape[1]), dtype=float)
+        counted = np.zeros_like(probabilities)
+        counted[np.arange(len(weights)), probabilities.argmax(axis=1)] = 1.0
+    shares = weights @ counted
     kept = shares > LEAST_SHARE
     posteriors = (probabilities[:, kept] * weights[:, None]).T
     posteriors /= posteriors.sum(axis=1, keepdims=True)

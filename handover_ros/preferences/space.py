@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from handover_ros.arm.model import JOINT_NAMES, Arm
+from handover_ros.arm.model import JOINT_NAMES
 from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
@@ -43,8 +43,10 @@ class People:
 
     def costs(self, configurations: FloatArray) -> FloatArray:
         """Return C(q; lambda) (n, k) of configurations (k, d), eq. 4.2."""
-        offsets = configurations[None] - self.neutral[:, None]
-        return np.asarray(np.einsum("nkd,nd->nk", np.square(offsets), self.weights))
+        costs = np.zeros((len(self), len(configurations)))
+        for q, neutral, weight in zip(configurations.T, self.neutral.T, self.weights.T):  # never n k d numbers at once
+            costs += weight[:, None] * np.square(q - neutral[:, None])
+        return costs
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,15 +134,15 @@ class PreferenceSpace:
 
 
 def arm_space(
-    arm: Arm,
+    limits: FloatArray,
     learn: Sequence[str] = ("neutral", "weights"),
     known: Preference | None = None,
     rationality: float | tuple[float, float] = 10.0,
 ) -> PreferenceSpace:
-    """Return what can be learned of a person with this arm; the neutral posture lies within the limits.
+    """Return what can be learned of a person's arm of seven joints.
 
     Args:
-        arm: The arm.
+        limits: Within which the neutral posture lies [rad], shape (2, 7).
         learn: ``neutral``, ``weights`` or both.
         known: The parts that are not learned; default: those of anybody.
         rationality: Known [1/cost], or bounds to average over.
@@ -156,7 +158,7 @@ def arm_space(
     both = (rationality, rationality) if isinstance(rationality, int | float) else rationality
     return PreferenceSpace(
         JOINT_NAMES,
-        arm.limits if "neutral" in learn else np.array([given.neutral] * 2),
+        limits if "neutral" in learn else np.array([given.neutral] * 2),
         np.tile(np.array(WEIGHT_BOUNDS)[:, None], 7) if "weights" in learn else np.array([weights] * 2),
         (float(both[0]), float(both[1])),
     )

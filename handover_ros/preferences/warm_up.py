@@ -16,7 +16,7 @@ from handover_ros.preferences.strategies import select
 def warm_up_preferences() -> None:
     """Take a made-up answer in, and choose a made-up query."""
     arm = load_arm()
-    belief = first_belief(Prior(arm_space(arm)), 100)
+    belief = first_belief(Prior(arm_space(arm.limits)), 100)
     postures = arm.limits[0] + np.random.default_rng(0).random((20, 7)) * np.ptp(arm.limits, axis=0)
     query = Query(postures, np.ones(20), np.arange(20) % 2, ("left", "right"))
     belief = belief.updated(query, region_answer(query, "left"))

@@ -96,7 +96,8 @@ def _gripper(robot_name: str) -> FloatArray:
 
 def seven_space(settings: Chapter4Settings, learned: Learned) -> PreferenceSpace:
     """Return what is learned of a person with an arm of seven joints; the rest is as anybody's."""
-    return arm_space(load_arm(settings.arm.name, settings.arm.side), (learned,), rationality=settings.rationality)
+    limits = load_arm(settings.arm.name, settings.arm.side).limits
+    return arm_space(limits, (learned,), rationality=settings.rationality)
 
 
 def arm_course(settings: Chapter4Settings, learned: Learned, person: int, seed: int) -> Course:
@@ -114,7 +115,6 @@ def arm_course(settings: Chapter4Settings, learned: Learned, person: int, seed: 
         space=space,
         truth=truth,
         menu=menu,
-        objects=tuple(query.name for query in menu),
         tests=heldout(tests, space.people(truth[None]), rng),
         levels=rng.random(settings.arm.queries),
         particles=settings.particles,
@@ -137,7 +137,6 @@ def user_course(settings: Chapter4Settings, person: int, seed: int) -> Course:
         space=space,
         truth=truth,
         menu=menu,
-        objects=tuple(query.name for query in menu),
         tests=heldout(tests, space.people(truth[None]), rng, by_region=True),
         levels=rng.random(study.queries),
         particles=settings.particles,

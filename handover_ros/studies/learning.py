@@ -30,7 +30,6 @@ class Course:
         space: What is learned of them.
         truth: What they prefer, in the space's coordinates (p,).
         menu: The queries.
-        objects: What each query offers.
         tests: Handovers not learned from; None: there are none.
         levels: Numbers in [0, 1) that decide the person's choices, one an answer, shape (queries,).
         particles: Of the belief.
@@ -44,13 +43,17 @@ class Course:
     space: PreferenceSpace
     truth: FloatArray
     menu: tuple[Query, ...]
-    objects: tuple[str, ...]
     tests: Heldout | None
     levels: FloatArray
     particles: int
     seed: int
     answers: AnswerKind = "posture"
     information_weight: float = 0.5
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """What each query offers."""
+        return tuple(query.name for query in self.menu)
 
     @property
     def true_person(self) -> People:

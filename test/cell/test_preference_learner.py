@@ -50,7 +50,7 @@ def taken(learner, number, offer=None, seed=0, **more):
     """Return how a person with a known preference takes an offer."""
     offer = offer or offered(yaw=0.7 * number)
     query = learner.query(offer, "right")
-    space = arm_space(arm_of(profile_named("x").skeleton, "right"))
+    space = arm_space(arm_of(profile_named("x").skeleton, "right").limits)
     truth = space.people(space.coordinates(np.array([0.5, 0.3, 0.1, 1.5, 0.3, 0.0, 0.0]), np.ones(7), 10.0)[None])
     place = np.random.default_rng((seed, number)).choice(len(query), p=choice_probabilities(truth, query)[0])
     posture = query.configurations[place]
@@ -118,9 +118,12 @@ def test_a_damaged_belief_is_kept_and_said(tmp_path):
             act()
     assert len(path.read_bytes()) == 1000
     again.reset()
-    assert path.with_name("anna.npz.damaged").stat().st_size == 1000
+    assert path.with_name("anna.npz.aside-1").stat().st_size == 1000
     assert again.add(taken(again, 1))
     assert learner_in(tmp_path).person.belief.observations == 1
+    again.reset()
+    assert path.with_name("anna.npz.aside-1").stat().st_size == 1000
+    assert path.with_name("anna.npz.aside-2").exists()
 
 
 def test_load_goes_back_to_what_is_stored(tmp_path):
