@@ -11,14 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench import calibration, inverse_kinematics, planning, preferences, tracking
+from bench import calibration, inverse_kinematics, learning_loop, planning, preferences, tracking
 from bench.bench_simulation import factor
 from bench.peers import peer
 from handover_ros.cell.report import write_json
 from handover_ros.errors import HandoverError
 from handover_ros.sim.options import SimulationOptions
 
-PARTS = ("tracking", "calibration", "simulation", "ik", "planning", "preferences")
+PARTS = ("tracking", "calibration", "simulation", "ik", "planning", "preferences", "learning")
 # What the design asks for: metric, relation, value.
 REACH = {
     "ukf_speed_over_biorbd": (">=", 1.0),
@@ -40,6 +40,7 @@ REACH = {
     "ik_fk_error": ("<=", 1e-9),
     "belief_update_ms": ("<=", 10.0),
     "query_select_ms": ("<=", 100.0),
+    "learning_active_cost_over_truth": ("<=", 1.10),
     "mutual_information_speedup": (">=", 1000.0),
 }
 AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
@@ -67,7 +68,7 @@ def bench(
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for bench.json.")] = None,
 ) -> None:
-    """Measure tracking, calibration, simulation, planning and preferences, with the peers in the same run."""
+    """Measure tracking, calibration, simulation, planning, preferences and learning, with the peers in the same run."""
     if part not in (*PARTS, "all"):
         raise typer.BadParameter(f"unknown part {part!r}; known: {', '.join(PARTS)}, all")
     console = Console()
@@ -90,6 +91,9 @@ def bench(
     if part in ("preferences", "all"):
         console.print("preferences ...")
         metrics |= preferences.measure(seed, quick)
+    if part in ("learning", "all"):
+        console.print("learning from tracking ...")
+        metrics |= learning_loop.measure(seed, quick)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("metric", "value", "to reach", "reached"):
         table.add_column(heading, justify="right" if heading == "value" else "left")

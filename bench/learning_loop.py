@@ -14,7 +14,7 @@ import numpy as np
 
 from handover_ros.arm.model import JOINT_NAMES, arm_of
 from handover_ros.cell.belief_store import BeliefStore
-from handover_ros.cell.learning_curve import TruePerson, torso_from
+from handover_ros.cell.learning_curve import TruePerson
 from handover_ros.cell.preference_learner import (
     LearnerSettings,
     OfferedHandover,
@@ -24,7 +24,7 @@ from handover_ros.cell.preference_learner import (
 )
 from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import HandoverError
-from handover_ros.geometry import FloatArray, transform_from_xyz_rpy
+from handover_ros.geometry import FloatArray, invert_transform, transform_from_xyz_rpy
 from handover_ros.mocap.frames import MarkerFrame, MarkerStatus
 from handover_ros.mocap.marker_sets import load_marker_set
 from handover_ros.objects.catalogue import load_catalogue
@@ -33,6 +33,8 @@ from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest
 from handover_ros.planning.expected_cost import ExpectedCostScheme
 from handover_ros.planning.handover import Search
 from handover_ros.planning.menu import Dish, menu
+from handover_ros.planning.offered_scheme import OfferedScheme
+from handover_ros.planning.types import ChosenOffer
 from handover_ros.preferences.likelihood import choice_probabilities
 from handover_ros.preferences.observed import observed_choice
 from handover_ros.preferences.offered import free_for_hand, offered_query
@@ -47,9 +49,11 @@ from handover_ros.skeleton.profile import Profile
 from handover_ros.skeleton.templates import load_template
 from handover_ros.skeleton.tracking import SkeletonTracker
 
-ASKED, JUDGED = ("mug", "glass", "u_lock"), ("mug", "glass", "u_lock")
+ASKED = ("mug", "glass", "u_lock", "pitcher", "plate", "handlebars")
+JUDGED = ("mug", "glass", "u_lock")
 HANDOVERS, PEOPLE = 10, 20
-PER_OBJECT = 4
+PER_OBJECT = 16
+BUDGET = 10.0  # [s] of a search: no plan is cut short
 RATE, NOISE, MISSING = 120.0, 0.001, 0.02  # [Hz], [m], share of the samples
 REACH = 0.6  # [s] of the reach that is tracked
 RATIONALITY = 10.0
@@ -58,7 +62,12 @@ SHOULDERS = 1.40  # [m]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """True expected cost of the planned handovers over that of planning with the truth, after 0, 1, ... answers."""
+    """True expected cost of the planned handovers over that of planning with the truth, after 0, 1, ... answers.
+
+    Attributes:
+        ratios: Shape (handovers + 1,).
+        answers: Number of answers that were taken in.
+    """
 
     ratios: FloatArray
     answers: int
@@ -129,24 +138,27 @@ class Laboratory:
         return float(np.sum(costs) / np.sum(best))
 
     def planned_cost(self, name: str, person: TruePerson, preference: Preference | None) -> float:
-        """Return the true expected cost of the handover planned for a preference; None: nobody's."""
+        """Return the true expected total cost (3.7) of the handover planned for a preference; None: nobody's."""
         search = Search(np.inf)
         cell = self.snapshot(preference)
+        request = HandoverRequest(name, world_from_goal=self.scene.goals[name])
+        model = self.planner.motion.object_model(name)
         for arm in self.planner.motion.robot.arm_names:
             _, ready, picking = self.planner.picking(arm, name, cell, search)
             if picking is None or not picking.grasps:
                 continue
-            model = self.planner.motion.object_model(name)
-            task = self.planner.task(HandoverRequest(name), model, picking, ready, search)
+            task = replace(self.planner.task(request, model, picking, ready, search), budget=BUDGET)
             try:
-                offer = self.scheme.offers(replace(task, budget=10.0))[0]
+                offer = self.scheme.offers(task)[0]
             except HandoverError:
                 continue
             assert task.robot is not None
             assert offer.robot_grasp is not None
-            grip = task.robot.object_from_gripper[offer.robot_grasp]
-            pose = torso_from(self.world_from_torso, offer.world_from_object)
-            return person.expected_cost(model, pose, self.planner.grippers[arm], grip)
+            chosen = ChosenOffer(offer.world_from_object, task.robot.object_from_gripper[offer.robot_grasp])
+            judged = replace(task, person=self.snapshot(person.preference).person)
+            predicted = OfferedScheme(self.scheme, chosen).offers(judged)[0].predicted
+            assert predicted is not None
+            return predicted.expected_cost
         raise HandoverError(f"{name} cannot be planned for this person")
 
     def snapshot(self, preference: Preference | None) -> CellSnapshot:
@@ -164,7 +176,7 @@ class Laboratory:
         cell = self.snapshot(None)
         dishes: list[Dish] = []
         for name in ASKED:
-            dishes += menu(self.planner, self.scheme, name, cell, PER_OBJECT, budget=10.0, seed=handover)
+            dishes += menu(self.planner, self.scheme, name, cell, PER_OBJECT, budget=BUDGET, seed=handover)
         offers = [
             OfferedHandover(
                 dish.object_name,
@@ -189,7 +201,7 @@ class Laboratory:
         model, arm = self.catalogue[offered.object_name], arm_of(self.skeleton, "right")
         assert offered.object_from_gripper is not None
         free = free_for_hand(model, arm, self.planner.grippers[offered.arm], offered.object_from_gripper)
-        pose = torso_from(self.world_from_torso, offered.world_from_object)
+        pose = invert_transform(self.world_from_torso) @ offered.world_from_object
         try:
             query = offered_query(model, arm, pose, free, most=5000)
         except HandoverError:
@@ -204,7 +216,7 @@ class Laboratory:
         own = self.profile.skeleton
         try:
             choice = observed_choice(
-                model, torso_from(world_from_torso, offered.world_from_object), own, displacements, covariance
+                model, invert_transform(world_from_torso) @ offered.world_from_object, own, displacements, covariance
             )
         except HandoverError:
             return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import matplotlib
@@ -11,9 +11,10 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from handover_ros.arm.model import JOINT_NAMES, SIDES, Arm, Side, arm_of
+from handover_ros.arm.model import JOINT_NAMES, Arm, Side, arm_of
+from handover_ros.cell.report import finite
 from handover_ros.ergonomics.arm_costs import Preference, SquaredDistance
-from handover_ros.geometry import FloatArray, invert_transform
+from handover_ros.geometry import FloatArray
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.preferences.likelihood import survey
 from handover_ros.preferences.offered import free_for_hand, offered_query
@@ -52,6 +53,10 @@ class LearningStep:
     plan_cost: float
     counted: bool
 
+    def document(self) -> dict[str, object]:
+        """Return it for a JSON file."""
+        return {name: finite(value) if isinstance(value, float) else value for name, value in asdict(self).items()}
+
 
 @dataclass(frozen=True, eq=False)
 class TruePerson:
@@ -82,19 +87,15 @@ class TruePerson:
         return arm_of(skeleton_of(self.spec), self.hand)
 
     def cost(self, joint_names: Sequence[str], displacements: Sequence[float]) -> float:
-        """Return the true cost of the cheaper arm's posture; NaN where no arm is told.
+        """Return the true cost of the dominant arm's posture; NaN where it is not told.
 
         Args:
             joint_names: Names with the side before, as the simulator's true state has them.
             displacements: [rad].
         """
         values = dict(zip(joint_names, displacements))
-        found = []
-        for side in SIDES:
-            posture = [values.get(f"{side}_{name}", np.nan) for name in JOINT_NAMES]
-            if side == self.hand and np.isfinite(posture).all():
-                found.append(float(SquaredDistance(self.preference).evaluate(posture)))
-        return min(found, default=float("nan"))
+        posture = [values.get(f"{self.hand}_{name}", np.nan) for name in JOINT_NAMES]
+        return float(SquaredDistance(self.preference).evaluate(posture))
 
     def expected_cost(
         self, model: ObjectModel, torso_from_object: FloatArray, gripper: FloatArray, object_from_gripper: FloatArray
@@ -115,11 +116,6 @@ class TruePerson:
         rationality = self.spec.comfort.rationality or BEST
         people = People(preference.neutral[None], preference.weights[None], np.array([rationality]))
         return float(survey(people, np.ones(1), query).mean_cost[0])
-
-
-def torso_from(world_from_torso: FloatArray, world_from_object: FloatArray) -> FloatArray:
-    """Return torso_from_object (4, 4)."""
-    return invert_transform(world_from_torso) @ world_from_object
 
 
 def learning_table(steps: Sequence[LearningStep]) -> Table:

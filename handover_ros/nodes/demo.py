@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from std_msgs.msg import Header
 
-from handover_ros.cell.learning_curve import draw_learning, learning_table
+from handover_ros.cell.learning_curve import LearningStep, draw_learning, learning_table
 from handover_ros.cell.marker_files import AUTO, matching
 from handover_ros.cell.processes import NODES, CellProcesses, NodeLaunch
 from handover_ros.cell.report import (
@@ -31,8 +31,7 @@ from handover_ros.cell.report import (
 )
 from handover_ros.errors import BadRequestError, HandoverError, UnknownNameError
 from handover_ros.mocap.recordings import read_recording
-from handover_ros.nodes.convert import pose_message
-from handover_ros.nodes.convert_plan import WORLD
+from handover_ros.nodes.convert import WORLD, pose_message
 from handover_ros.nodes.demo_calibration import calibrate_person
 from handover_ros.nodes.demo_learning import Lesson
 from handover_ros.nodes.operator import Interrupt, InterruptedByOperatorError, Operator, operating
@@ -211,7 +210,7 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
     ok = all(record.taken for record in records) and not any(
         metrics[name] for name in ("dropped", "joint_limit_violations", "velocity_limit_violations")
     )
-    report(request, console, folder, records, metrics, files, ok)
+    report(request, console, folder, records, metrics, files, ok, () if lesson is None else tuple(lesson.steps))
     return 0 if ok else EXIT_FAILED
 
 
@@ -333,6 +332,7 @@ def report(
     metrics: dict[str, float],
     files: list[Path],
     ok: bool,
+    learning: tuple[LearningStep, ...],
 ) -> None:
     """Print the table and the numbers, and write the JSON."""
     console.print()
@@ -356,7 +356,8 @@ def report(
         for record in records
     ]
     for target in filter(None, (folder / "demo.json", request.json_file)):
-        write_json(target, "demo", ok, request.seed, metrics, files=files, details=phases, folder=str(folder))
+        more = {"details": phases, "learning": [step.document() for step in learning], "folder": str(folder)}
+        write_json(target, "demo", ok, request.seed, metrics, files=files, **more)
 
 
 def run_up(request: UpRequest, console: Console, stop: threading.Event) -> int:

@@ -12,9 +12,10 @@ from handover_msgs.msg import BeliefSummary, HandoverPlan
 from handover_msgs.srv import PlanHandover, ResetSimulation, SelectQuery
 from rich.console import Console
 
-from handover_ros.cell.learning_curve import LearningStep, TruePerson, torso_from
+from handover_ros.cell.learning_curve import LearningStep, TruePerson
 from handover_ros.cell.report import HandoverRecord
 from handover_ros.errors import ErrorCode, HandoverError
+from handover_ros.geometry import invert_transform
 from handover_ros.nodes.convert import transform_from_message
 from handover_ros.nodes.demo_calibration import checked
 from handover_ros.nodes.operator import Operator
@@ -146,7 +147,7 @@ class Lesson:
         """Return what the person's choice at a planned handover truly costs them, on average."""
         assert self.operator.skeleton is not None
         torso = transform_from_message(self.operator.skeleton.torso.pose, "torso")
-        offer = torso_from(torso, transform_from_message(plan.handover_pose, "handover_pose"))
+        offer = invert_transform(torso) @ transform_from_message(plan.handover_pose, "handover_pose")
         grip = transform_from_message(plan.object_from_gripper, "object_from_gripper")
         try:
             return self.truth.expected_cost(load_object(plan.object_name), offer, self.grippers[plan.arm], grip)
