@@ -151,7 +151,7 @@ def calibrate(
     store: Annotated[
         bool | None, typer.Option("--store/--no-store", help="Store the profile; default: when --profile names it.")
     ] = None,
-    max_frames: Annotated[int, typer.Option(min=100, max=20000, help="Frames that enter the fit.")] = 1500,
+    max_frames: Annotated[int, typer.Option(min=100, max=20000, help="Frames that enter the fit.")] = 6000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the fit's starts.")] = 0,
     json_file: JsonOption = None,
     out: OutOption = None,

@@ -269,10 +269,11 @@ def arm_posture(arm: Arm, skeleton: Skeleton, displacements: FloatArray) -> Floa
 def arm_displacements(arm: Arm, shoulder: FloatArray, elbow: FloatArray, torso_from_hand: FloatArray) -> FloatArray:
     """Return the displacements (7,) [rad] of an arm whose elbow and grip are seen; lengths need not agree.
 
-    The elbow bends forwards, abduction and wrist flexion stay below a right angle.
+    The elbow bends forwards, wrist flexion stays below a right angle; so does abduction, unless the limits of the
+    shoulder fit the other of its two solutions better.
 
     Args:
-        arm: The arm; its limits do not matter.
+        arm: The arm.
         shoulder: Its centre in the torso frame [m] (3,).
         elbow: Centre in the torso frame [m] (3,).
         torso_from_hand: The grip (4, 4).
@@ -291,11 +292,14 @@ def arm_displacements(arm: Arm, shoulder: FloatArray, elbow: FloatArray, torso_f
     bend = float(np.arctan2(np.linalg.norm(np.cross(up, fore_up)), up @ fore_up))
     fore = upper @ Rotation.from_rotvec(bend * AXES[3]).as_matrix()
     wrist = fore.T @ hand[:3, :3]
+    flexion, abduction = np.arctan2(-up[0], up[2]), np.arcsin(np.clip(up[1], -1.0, 1.0))
+    low = np.array([flexion, abduction, np.arctan2(upper[1, 0], upper[1, 1])])
+    high = low + np.where(low > 0.0, -np.pi, np.pi)  # the same turn, abduction beyond a right angle
+    high[1] = np.copysign(np.pi, abduction) - abduction
+    shoulder = min((low, high), key=lambda each: float(np.abs(each - np.clip(each, *arm.limits[:, :3])).max()))
     return np.array(
         [
-            np.arctan2(-up[0], up[2]),
-            np.arcsin(np.clip(up[1], -1.0, 1.0)),
-            np.arctan2(upper[1, 0], upper[1, 1]),
+            *shoulder,
             bend,
             np.arctan2(-wrist[0, 1], wrist[1, 1]),
             np.arcsin(np.clip(wrist[2, 1], -1.0, 1.0)),

@@ -54,7 +54,7 @@ class CalibrateRequest:
     person: str = ""
     profile_id: str = ""
     store: bool | None = None
-    max_frames: int = 1500
+    max_frames: int = CalibrationSettings.max_frames
     seed: int = 0
     json_file: Path | None = None
     out: Path | None = None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handover_ros.arm.model import JOINT_NAMES, SIDES, Arm, Side, arm_of
+from handover_ros.arm.turns import turn_jacobian, turns
 from handover_ros.cell.belief_store import BeliefStore
 from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import BadModelError, BadRequestError, ErrorCode, HandoverError, UnknownNameError
@@ -18,12 +19,13 @@ from handover_ros.preferences.belief_file import PersonBelief
 from handover_ros.preferences.information import AnswerKind
 from handover_ros.preferences.offered import free_for_hand, offered_query
 from handover_ros.preferences.prior import Prior, population_prior
-from handover_ros.preferences.query import Answer, Query, posture_answer, region_answer
+from handover_ros.preferences.query import Answer, Chart, Query, posture_answer, region_answer
 from handover_ros.preferences.space import PreferenceSpace, arm_space
 from handover_ros.preferences.strategies import Selection, select
 from handover_ros.preferences.surprise import has_changed, unlikeliness
 from handover_ros.skeleton.profile import Profile
 
+LIMBS = Chart(turns, turn_jacobian)
 SAME = 1e-9  # difference of bounds below which a stored belief is about the same things
 
 
@@ -281,7 +283,7 @@ class PreferenceLearner:
     def _answer(self, query: Query, taken: TakenHandover) -> Answer:
         """Return the answer as it is to be counted."""
         if taken.posture is not None and self.settings.answers == "posture":
-            return posture_answer(query, taken.posture, taken.covariance, spread=self.settings.spread)
+            return posture_answer(query, taken.posture, taken.covariance, spread=self.settings.spread, chart=LIMBS)
         if not taken.region:
             raise BadRequestError("grasp_region: neither posture nor region of the choice is known")
         return region_answer(query, taken.region)

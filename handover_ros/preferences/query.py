@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,6 +69,22 @@ class Query:
         return len(self.configurations)
 
 
+@dataclass(frozen=True)
+class Chart:
+    """Coordinates in which tracked and feasible postures are compared.
+
+    Attributes:
+        offsets: Of a posture (d,) and configurations (k, d): how far they are apart, (k, d) [rad].
+        jacobian: Of a posture (d,): derivative of the offsets with respect to the configuration, there (d, d).
+    """
+
+    offsets: Callable[[FloatArray, FloatArray], FloatArray]
+    jacobian: Callable[[FloatArray], FloatArray]
+
+
+ANGLES = Chart(lambda posture, configurations: configurations - posture, lambda posture: np.eye(len(posture)))
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """What is known of a choice: how well each configuration of the query explains what was seen.
@@ -106,6 +123,7 @@ def posture_answer(
     covariance: npt.ArrayLike | None = None,
     region: str = "",
     spread: float = SPREAD,
+    chart: Chart = ANGLES,
 ) -> Answer:
     """Return the answer of a tracked posture: the feasible configurations near it, by their likelihood.
 
@@ -115,6 +133,7 @@ def posture_answer(
         covariance: Of the tracked posture (d, d) [rad2].
         region: Grasp region, if it is known; empty: any.
         spread: Standard deviation [rad] that is added for what lies between the samples, and for the model.
+        chart: What tells postures apart.
 
     Raises:
         BadRequestError: Not finite, of another size, or far from everything that was feasible.
@@ -128,9 +147,10 @@ def posture_answer(
         given = np.asarray(covariance, dtype=float)
         if given.shape != (size, size) or not np.isfinite(given).all() or np.linalg.eigvalsh(given).min() < -1e-9:
             raise BadRequestError(f"covariance: needs a finite, positive semidefinite ({size}, {size}) matrix [rad2]")
-        spreading = spreading + given
+        jacobian = chart.jacobian(q)
+        spreading = spreading + jacobian @ given @ jacobian.T
     places = np.arange(len(query)) if not region else region_answer(query, region).places
-    offsets = query.configurations[places] - q
+    offsets = chart.offsets(q, query.configurations[places])
     squared = np.einsum("ki,ki->k", offsets, np.linalg.solve(spreading, offsets.T).T)
     if squared.min() > FARTHEST**2 * size:
         nearest = float(np.linalg.norm(offsets, axis=1).min())

@@ -46,8 +46,12 @@ MOTIONS = {
     ),
     "elbow_flexion": CalibrationMotion("elbow_flexion", {"shoulder_flexion": 0.3}, varied="forearm_pronation"),
     "forearm_pronation": CalibrationMotion("forearm_pronation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
-    "wrist_flexion": CalibrationMotion("wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
-    "wrist_deviation": CalibrationMotion("wrist_deviation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}),
+    "wrist_flexion": CalibrationMotion(
+        "wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}, varied="wrist_deviation"
+    ),
+    "wrist_deviation": CalibrationMotion(
+        "wrist_deviation", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}, varied="wrist_flexion"
+    ),
     "wrist_circle": CalibrationMotion(
         "wrist_flexion", {"elbow_flexion": 1.5, "shoulder_flexion": 0.2}, second="wrist_deviation"
     ),

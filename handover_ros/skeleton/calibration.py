@@ -54,7 +54,7 @@ class CalibrationSettings:
         seed: Of the starting axes.
     """
 
-    max_frames: int = 1500
+    max_frames: int = 6000
     holdout: float = 0.2
     still: tuple[int, int] | None = None
     seed: int = 0

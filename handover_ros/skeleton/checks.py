@@ -28,6 +28,8 @@ OUTLYING = 4.0  # times the usual error of a marker; skin in real recordings: 2.
 OUTLYING_ERROR = 0.006  # [m]
 WRONG_SIDE_SHARE = 0.25
 BACKWARDS = np.deg2rad(30.0)
+MOTION_FRAMES, MOTION_PERCENTILES = 600, (1.0, 99.0)
+LEAST_APPROACH = 0.03  # [m] that markers of different segments come nearer to or go farther from each other
 LEAST_MOTION = {"angle": np.deg2rad(25.0), "length": 0.02}
 LARGEST_FIT_RMS = 0.015  # [m]; the dissertation's own mean reprojection error is 14.9 mm
 LARGEST_AXIS_ERROR = np.deg2rad(5.0)
@@ -94,7 +96,7 @@ def displacements_between(template: NamedTemplate, segments: set[str]) -> dict[s
 
 
 def input_problems(recording: Recording, world_from_torso: FloatArray | None, template: NamedTemplate) -> list[str]:
-    """Return what is wrong with marker frames: mixed units, labels that change places, left and right swapped.
+    """Return what is wrong with marker frames: mixed units, no motion, labels that change places, sides swapped.
 
     Args:
         recording: The frames.
@@ -102,7 +104,7 @@ def input_problems(recording: Recording, world_from_torso: FloatArray | None, te
             no torso is known.
         template: The tree.
     """
-    problems = unit_problems(recording)
+    problems = unit_problems(recording) or motionless_problems(recording)
     if problems:
         return problems
     swapped = swap_problems(recording)
@@ -120,6 +122,25 @@ def segment_distances(recording: Recording) -> dict[tuple[int, int], FloatArray]
                 if np.isfinite(distance).sum() >= FEW_SAMPLES:
                     distances[i, j] = distance
     return distances
+
+
+def motionless_problems(recording: Recording) -> list[str]:
+    """Return whether nobody moves: no marker comes nearer to or goes farther from those of other segments."""
+    frames = np.linspace(0, recording.frames - 1, min(recording.frames, MOTION_FRAMES)).astype(int)
+    most = 0.0
+    for i, segment in enumerate(recording.segments):
+        others = [j for j in range(i + 1, len(recording.segments)) if recording.segments[j] != segment]
+        apart = np.linalg.norm(recording.positions[frames][:, others] - recording.positions[frames, i][:, None], axis=2)
+        for distance in apart.T:
+            seen = distance[np.isfinite(distance)]
+            if len(seen) >= FEW_SAMPLES:
+                most = max(most, float(np.ptp(np.percentile(seen, MOTION_PERCENTILES))))
+    if most >= LEAST_APPROACH:
+        return []
+    return [
+        f"nobody moves: markers of different segments come nearer or go farther by {1e3 * most:.0f} mm at most; record the "
+        "calibration motions, each joint through its full range"
+    ]
 
 
 def unit_problems(recording: Recording) -> list[str]:

@@ -19,6 +19,7 @@ from handover_ros.skeleton.wishes import Wishes
 COARSE_SCALE = 0.03  # [m] robust scale while the noise is not known
 UNDECIDED = 16.0  # difference in chi-squared below which the markers do not decide between two fits
 WORTH_MORE = 0.98  # of the loss: better postures of single frames are worth another minimisation
+LEAST_STRENGTH = 1e-5  # [m^2] of wishes: what ten marker samples 1 mm off cost, lost where motion shows the axes
 
 
 def coarse_fit(
@@ -93,8 +94,11 @@ def template_wishes(blank: Skeleton, template: NamedTemplate, strength: float) -
 
 
 def wishes_for(wishes: Wishes, observed: FloatArray) -> Wishes:
-    """Return wishes with the strength for all samples of some frames (frames, m, 3)."""
-    return replace(wishes, strength=wishes.strength * int(np.isfinite(observed[:, :, 0]).sum()))
+    """Return wishes with the strength for all samples of some frames (frames, m, 3).
+
+    Axes that nothing else tells, of a joint that did not move, still follow them.
+    """
+    return replace(wishes, strength=LEAST_STRENGTH + wishes.strength * int(np.isfinite(observed[:, :, 0]).sum()))
 
 
 def meeting_joints(blank: Skeleton, template: NamedTemplate) -> dict[int, int]:

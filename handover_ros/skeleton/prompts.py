@@ -36,9 +36,16 @@ PROMPTS = (
     # With the palm turned differently each time: else the forearm may as well turn first and bend then.
     CalibrationPrompt("elbow_flexion", "Bend and stretch both elbows fully: palms up, then inward, then down"),
     CalibrationPrompt("forearm_pronation", "Elbows bent: turn the palms up and down"),
-    CalibrationPrompt("wrist_flexion", "Elbows bent: bend the hands inward and outward"),
-    CalibrationPrompt("wrist_deviation", "Elbows bent: tilt the hands towards the thumb and the little finger"),
-    # Not in figure 2.4: it tells the two axes of the wrist apart, which motions about one at a time hardly do.
+    # Each at three places of the other, and circles, not in figure 2.4: the angle between the two axes of the wrist
+    # shows only where both are turned far.
+    CalibrationPrompt(
+        "wrist_flexion",
+        "Elbows bent: bend the hands inward and outward: tilted to the thumb, then straight, then to the little finger",
+    ),
+    CalibrationPrompt(
+        "wrist_deviation",
+        "Elbows bent: tilt the hands to thumb and little finger: bent outward, then straight, then bent inward",
+    ),
     CalibrationPrompt("wrist_circle", "Elbows bent: draw wide circles with both hands"),
 )
 MOTION_NAMES = tuple(prompt.name for prompt in PROMPTS)

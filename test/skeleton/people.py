@@ -124,6 +124,11 @@ def calibration_motion(
             elbow = arm * per_arm + 3
             if block in (2, 4, 5, 6, 7):
                 displacements[start:stop, elbow] = blend * 1.4
+            if block in (5, 6):  # each axis of the wrist at three places of the other
+                other = arm * per_arm + 11 - block
+                low, high = skeleton.lower[other], skeleton.upper[other]
+                place = np.interp(phase, [0.0, 0.3, 0.37, 0.63, 0.7, 1.0], [-1.0, -1.0, 0.0, 0.0, 1.0, 1.0])
+                displacements[start:stop, other] = blend * 0.5 * ((high + low) + 0.9 * place * (high - low))
     displacements += 0.03 * np.sin(
         np.outer(np.arange(frames) / rate, rng.uniform(0.5, 2.0, count)) + rng.uniform(0, 6, count)
     )
