@@ -52,7 +52,7 @@ from handover_ros.skeleton.tracking import SkeletonTracker
 ASKED = ("mug", "glass", "u_lock", "pitcher", "plate", "handlebars")
 JUDGED = ("mug", "glass", "u_lock")
 HANDOVERS, PEOPLE = 10, 20
-PER_OBJECT = 16
+PER_OBJECT = 64
 BUDGET = 10.0  # [s] of a search: no plan is cut short
 RATE, NOISE, MISSING = 120.0, 0.001, 0.02  # [Hz], [m], share of the samples
 REACH = 0.6  # [s] of the reach that is tracked
@@ -78,7 +78,7 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
     people = 3 if quick else PEOPLE
     laboratory = Laboratory(seed)
     metrics: dict[str, float] = {}
-    for strategy in ("active", "passive"):
+    for strategy in ("active_value", "active", "passive"):
         curves = [laboratory.teach(seed, person, strategy) for person in range(people)]
         ratios = np.array([curve.ratios for curve in curves])
         print(f"  {strategy}: mean cost over truth {np.round(ratios.mean(axis=0), 3).tolist()}")

@@ -85,8 +85,8 @@ def demo(
         str,
         typer.Option(
             metavar="STRATEGY",
-            help="Learn what the person finds comfortable; handovers are chosen by: active, passive, hybrid, random, "
-            "active_grid, active_expected.",
+            help="Learn what the person finds comfortable; handovers are chosen by: active, active_value, passive, "
+            "hybrid, random, active_grid, active_expected.",
         ),
     ] = "",
     seed: SeedOption = 1,

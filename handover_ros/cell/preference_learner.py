@@ -51,7 +51,7 @@ class LearnerSettings:
     particles: int = PARTICLES
     retention: float = 1.0
     prior: str = "even"
-    spread: float = 0.15
+    spread: float = 0.07
     answers: AnswerKind = "posture"
     seed: int = 0
 

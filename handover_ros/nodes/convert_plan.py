@@ -94,6 +94,11 @@ def _fill_prediction(message: HandoverPlanMessage, predicted: PredictedChoice) -
     message.grasp_poses = array("d", [float(value) for pose in poses for value in pose])
     message.grasp_handover_costs = array("d", [grasp.hand_cost for grasp in grasps])
     message.grasp_goal_costs = array("d", [grasp.goal_cost for grasp in grasps])
+    told = [(place, side, each) for place, grasp in enumerate(grasps) for side, each in grasp.postures.items()]
+    message.posture_grasps = array("I", [place for place, _, each in told for _ in each.probabilities])
+    message.posture_arms = [side for _, side, each in told for _ in each.probabilities]
+    message.postures = array("d", [value for _, _, each in told for value in each.displacements.ravel().tolist()])
+    message.posture_probabilities = array("d", [value for _, _, each in told for value in each.probabilities.tolist()])
 
 
 def plan_visual(

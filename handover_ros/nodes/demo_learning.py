@@ -29,7 +29,7 @@ from handover_ros.sim.person_spec import load_person
 SELECT_LIMIT = 90.0  # [s] of wall time for a menu and a choice from it
 BELIEF_LIMIT = 30.0  # [s] of wall time until an answer is taken in
 TRIES = 6  # offers whose way may be blocked, before a handover is given up
-PER_OBJECT = 4  # offers of each object in a menu
+PER_OBJECT = 16  # offers of each object in a menu
 NO_WAY = (ErrorCode.NO_PATH, ErrorCode.NOT_REACHABLE, ErrorCode.IN_COLLISION)
 
 HandOver = Callable[[int, str, ExecuteHandover.Goal], tuple[HandoverRecord, ExecuteHandover.Result]]

@@ -18,7 +18,7 @@ from handover_ros.errors import BadRequestError, ErrorCode, InfeasibleError
 from handover_ros.geometry import FloatArray, invert_transform, transform_points
 from handover_ros.objects.catalogue import ObjectModel
 from handover_ros.planning.choice import MEAN, MEASURE, GoalCosts, grasp_probabilities, person_model
-from handover_ros.planning.feasible import STEP, Taker, statistics
+from handover_ros.planning.feasible import STEP, Taker, posture_probabilities, statistics
 from handover_ros.planning.goal_stance import Box, Placing, placing_after_moving, placing_from
 from handover_ros.planning.grasp_set import GraspSet, grasp_set
 from handover_ros.planning.gripper_blocks import free_grasps
@@ -28,7 +28,7 @@ from handover_ros.planning.offers import HandoverTask, Offer, RobotSide, levelle
 from handover_ros.planning.optimiser import SearchSettings, search
 from handover_ros.planning.pose_space import PoseSpace
 from handover_ros.planning.problem import Candidate, Problem, SearchReport
-from handover_ros.planning.types import PredictedChoice, PredictedGrasp, TrackedPerson
+from handover_ros.planning.types import PredictedChoice, PredictedGrasp, PredictedPostures, TrackedPerson
 from handover_ros.skeleton.tree import Skeleton
 from handover_ros.yaml_file import Schema, Vector3
 
@@ -360,7 +360,18 @@ def _predicted_grasp(
         hand_cost=float(candidate.table[grasp, MEAN]),
         goal_cost=goal_cost,
         goal_limbs=goal_limbs,
+        postures=_postures(problem, candidate.torso_from_object, grasp) if drawn else {},
     )
+
+
+def _postures(problem: Problem, torso_from_object: FloatArray, grasp: int) -> dict[str, PredictedPostures]:
+    """Return P(q | g) of each arm that takes a grasp, by side."""
+    return {
+        side: PredictedPostures(
+            *posture_probabilities(problem.taker, side, torso_from_object @ pose, problem.choice.hand_rationality)
+        )
+        for side, pose in problem.grasps.hand_poses(grasp).items()
+    }
 
 
 def _best_limbs(

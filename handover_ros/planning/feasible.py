@@ -117,6 +117,26 @@ def statistics_each(
     return result
 
 
+def posture_probabilities(
+    taker: Taker, side: Side, torso_from_hand: FloatArray, rationality: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return samples (k, 7) of the feasible set of a hand pose (4, 4), and P(q | g) (k,) of each, as in (3.3).
+
+    Args:
+        taker: The person.
+        side: Of the hand.
+        torso_from_hand: The grip in the torso frame.
+        rationality: With which the posture is chosen; infinite: the best only.
+    """
+    sets = feasible_sets(taker.arms[side], torso_from_hand[None], taker.step)
+    costs = taker.costs[side].evaluate(sets.postures)
+    if not len(costs):
+        return sets.postures, costs
+    above = costs - costs.min()
+    shares = (above == 0.0).astype(float) if np.isinf(rationality) else sets.measures * np.exp(-rationality * above)
+    return sets.postures, shares / shares.sum()
+
+
 def _kept(sets: FeasibleSets, costs: FloatArray, free: BoolArray) -> tuple[FeasibleSets, FloatArray]:
     """Return feasible sets and the costs of their samples (total,) without those that are not free (total,)."""
     first = np.concatenate([[0], np.cumsum(free)])[sets.first]

@@ -136,6 +136,19 @@ class ExpectedPosture:
 
 
 @dataclass(frozen=True, eq=False)
+class PredictedPostures:
+    """P(q | g): how one arm is expected to take a grasp.
+
+    Attributes:
+        displacements: Samples of the feasible set [rad], shape (k, 7), ordered as ``arm.model.JOINT_NAMES``.
+        probabilities: Of each, sum 1, shape (k,).
+    """
+
+    displacements: FloatArray
+    probabilities: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class PredictedGrasp:
     """One grasp that the person may choose.
 
@@ -148,6 +161,7 @@ class PredictedGrasp:
         hand_cost: Expected cost at the handover, given this grasp.
         goal_cost: The same at the goal; NaN: there is no goal, or the object cannot be placed with this grasp.
         goal_limbs: As ``limbs``, at the goal; empty: there is none.
+        postures: P(q | g) of each arm, by side; empty for improbable grasps.
     """
 
     region: str
@@ -157,6 +171,7 @@ class PredictedGrasp:
     hand_cost: float
     goal_cost: float
     goal_limbs: Mapping[str, FloatArray] = field(default_factory=dict)
+    postures: Mapping[str, PredictedPostures] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -284,12 +284,12 @@ class _Update:
         return replace(result, history=(), summary=summary, fit=summary.fit(result.particles, belief.prior))
 
 
-def systematic(weights: FloatArray, rng: np.random.Generator) -> IntArray:
-    """Return places (n,) drawn in proportion to weights (n,), by one random number."""
-    count = len(weights)
+def systematic(weights: FloatArray, rng: np.random.Generator, count: int | None = None) -> IntArray:
+    """Return places (count,) drawn in proportion to weights (n,), by one random number; default: n of them."""
+    number = count or len(weights)
     levels = np.cumsum(weights)
-    places = np.searchsorted(levels / levels[-1], (np.arange(count) + rng.random()) / count)
-    return np.asarray(np.minimum(places, count - 1))
+    places = np.searchsorted(levels / levels[-1], (np.arange(number) + rng.random()) / number)
+    return np.asarray(np.minimum(places, len(weights) - 1))
 
 
 def unbounded(points: FloatArray, bounds: FloatArray) -> tuple[FloatArray, FloatArray]:

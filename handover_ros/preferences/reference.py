@@ -33,6 +33,32 @@ def plain_likelihood(people: People, query: Query, answer: Answer) -> FloatArray
     return np.array(found)
 
 
+def plain_decision_value(
+    people: People, weights: Sequence[float], menu: Sequence[Query], place: int, by_region: bool = False
+) -> float:
+    """Return how much less the best query of each name costs on average once a query of the menu is answered."""
+    persons = range(len(people))
+    costs = []  # of each query, of each person
+    for query in menu:
+        every = people.costs(query.configurations)
+        costs.append([sum(p * c for p, c in zip(plain_choice(people, n, query), every[n])) for n in persons])
+
+    def least(shares: Sequence[float]) -> float:
+        means = [sum(share * cost for share, cost in zip(shares, each)) for each in costs]
+        names = {query.name for query in menu}
+        return sum(min(m for m, query in zip(means, menu) if query.name == name) for name in names) / len(names)
+
+    asked = menu[place]
+    kinds = asked.region.tolist() if by_region else list(range(len(asked)))
+    chosen = [plain_choice(people, n, asked) for n in persons]
+    after = 0.0
+    for answer in set(kinds):
+        joint = [weights[n] * sum(p for p, kind in zip(chosen[n], kinds) if kind == answer) for n in persons]
+        if sum(joint) > 0.0:
+            after += sum(joint) * least([share / sum(joint) for share in joint])
+    return least(weights) - after
+
+
 def plain_information(people: People, weights: Sequence[float], query: Query, by_region: bool = False) -> float:
     """Return the mutual information [nat]: sum over persons and answers of P(l, a) log(P(l, a) / (P(l) P(a)))."""
     table = []

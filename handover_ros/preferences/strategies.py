@@ -1,4 +1,4 @@
-"""Which of several queries to make: six strategies with one interface."""
+"""Which of several queries to make: seven strategies with one interface."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.geometry import FloatArray
 from handover_ros.preferences.belief import Belief
+from handover_ros.preferences.decision_value import decision_values
 from handover_ros.preferences.information import AnswerKind, Outlook, grid_cells, grid_gain, outlook
 from handover_ros.preferences.query import Query
 
@@ -62,6 +63,7 @@ def _hybrid(situation: Situation) -> FloatArray:
 # The value of each query (n,); the greatest is chosen.
 STRATEGIES: Mapping[str, Callable[[Situation], FloatArray]] = {
     "active": lambda s: s.information,
+    "active_value": lambda s: decision_values(s.belief, s.menu, s.answers),
     "active_grid": lambda s: _grid(s, most_likely=True),  # (4.8)
     "active_expected": lambda s: _grid(s, most_likely=False),  # (4.7)
     "passive": lambda s: -np.array([each.least_cost for each in s.outlooks]),  # (4.10), (4.11)

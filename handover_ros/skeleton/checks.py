@@ -138,8 +138,8 @@ def motionless_problems(recording: Recording) -> list[str]:
     if most >= LEAST_APPROACH:
         return []
     return [
-        f"nobody moves: markers of different segments come nearer or go farther by {1e3 * most:.0f} mm at most; record the "
-        "calibration motions, each joint through its full range"
+        f"nobody moves: markers of different segments come nearer or go farther by {1e3 * most:.0f} mm at most; record "
+        "the calibration motions, each joint through its full range"
     ]
 
 

@@ -15,7 +15,7 @@ Number = Annotated[int, Field(ge=1, le=1000)]
 Angle = Annotated[float, Field(ge=-np.pi, le=np.pi)]
 Weight = Annotated[float, Field(gt=0.0, le=1000.0)]
 Particles = Annotated[int, Field(ge=50, le=100_000)]
-Strategy = Literal["active", "active_grid", "active_expected", "passive", "random", "hybrid"]
+Strategy = Literal["active", "active_value", "active_grid", "active_expected", "passive", "random", "hybrid"]
 COMPARED = ("active", "passive", "random")
 
 

@@ -16,14 +16,27 @@ from handover_ros.studies.statistics import band
 # Colours that colour-blind readers can tell apart: M. Okabe and K. Ito, 2008.
 COLOURS = {
     "active": "#0072b2",
+    "active_value": "#000000",
     "active_grid": "#56b4e9",
     "active_expected": "#009e73",
     "passive": "#d55e00",
     "random": "#7f7f7f",
     "hybrid": "#cc79a7",
 }
-MARKERS = {"active": "o", "active_grid": "^", "active_expected": "v", "passive": "s", "random": "D", "hybrid": "P"}
-NAMES = {"active_grid": "active, grid (4.8)", "active_expected": "active, grid (4.7)"}
+MARKERS = {
+    "active": "o",
+    "active_value": "X",
+    "active_grid": "^",
+    "active_expected": "v",
+    "passive": "s",
+    "random": "D",
+    "hybrid": "P",
+}
+NAMES = {
+    "active_value": "active, value",
+    "active_grid": "active, grid (4.8)",
+    "active_expected": "active, grid (4.7)",
+}
 TRUTH, CHOICE, FEASIBLE = "#009e73", "#e69f00", "#222222"  # green and yellow as in figure 4.3
 STYLE: Any = {
     "font.size": 9.0,

@@ -324,6 +324,12 @@ def test_a_menu_is_proposed_and_a_chosen_handover_planned(cell, clients):
     assert {each.object_name for each in proposed.menu} <= {"mug", "u_lock"}
     assert len({each.plan_id for each in proposed.menu}) == len(proposed.menu) >= 3
     assert all(not each.stages and len(each.grasp_probabilities) for each in proposed.menu)
+    for each in proposed.menu:  # P(q | g) of the likeliest grasps
+        count = len(each.posture_grasps)
+        assert len(each.posture_arms) == len(each.posture_probabilities) == len(each.postures) / 7 == count > 0
+        shares = np.bincount(each.posture_grasps, each.posture_probabilities)
+        np.testing.assert_allclose(shares, 1.0, atol=1e-9)
+        assert len(shares) <= len(each.grasp_regions)
     answers = [plan(clients, object_name=o.object_name, has_offer=True, offer=o) for o in proposed.menu]
     planned = [(a, o) for a, o in zip(answers, proposed.menu, strict=True) if a.success]
     assert planned, [answer.message for answer in answers]

@@ -22,7 +22,7 @@ from handover_ros.planning.choice import (
     grasp_probabilities,
     person_model,
 )
-from handover_ros.planning.feasible import Taker, statistics, statistics_each
+from handover_ros.planning.feasible import Taker, posture_probabilities, statistics, statistics_each
 from handover_ros.planning.grasp_set import grasp_set
 from handover_ros.planning.objectives import OBJECTIVES, expected_cost
 from handover_ros.planning.obstacles import obstacles_of
@@ -276,3 +276,33 @@ def test_grasps_each_at_a_pose_of_its_own_are_weighed_as_one_by_one(name, cost):
             there = obstacles[place] if obstacles else None
             one = statistics(taker, grasps, poses[place], 3.0, there)[0, grasp]
             np.testing.assert_allclose(found[grasp], one, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("rationality", [0.0, 10.0, 300.0, np.inf])
+def test_posture_probabilities_are_the_share_of_each_way(rationality):
+    """And with them the mean cost is that of the table the planner decides by."""
+    taker = taker_of(("right",))
+    grasps, poses, _ = case("mug, right hand")
+    table = statistics(taker, grasps, poses, rationality)
+    checked = 0
+    for number, pose in enumerate(poses):
+        for grasp in range(len(grasps)):
+            hand = pose @ grasps.hand_poses(grasp)["right"]
+            postures, shares = posture_probabilities(taker, "right", hand, rationality)
+            found = configurations(taker, "right", hand)
+            assert len(shares) == len(found)
+            if not found:
+                continue
+            least = min(cost for _, cost in found)
+            plain = np.array(
+                [
+                    float(cost == least) if np.isinf(rationality) else measure * np.exp(-rationality * (cost - least))
+                    for measure, cost in found
+                ]
+            )
+            np.testing.assert_allclose(shares, plain / plain.sum(), atol=1e-12)
+            if np.isfinite(rationality):
+                mean = shares @ taker.costs["right"].evaluate(postures)
+                assert mean == pytest.approx(table[number, grasp, MEAN], rel=1e-9)
+            checked += 1
+    assert checked > 10

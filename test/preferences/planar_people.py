@@ -1,9 +1,13 @@
 """Simulated persons with a planar arm, for tests of what is learned from them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from handover_ros.arm.planar import JOINTS, PlanarArm, random_object
+from handover_ros.preferences.belief import first_belief
 from handover_ros.preferences.likelihood import choice_probabilities
+from handover_ros.preferences.prior import Prior
 from handover_ros.preferences.query import Query
 from handover_ros.preferences.space import PreferenceSpace
 
@@ -21,6 +25,13 @@ def weight_space(neutral=(0.6, 1.2)):
 
 def whole_space():
     return PreferenceSpace(JOINTS, ARM.limits, np.array([[0.1, 0.1], [3.0, 3.0]]))
+
+
+def random_belief(seed, number=25):
+    """Return a belief about the neutral posture whose particles weigh differently."""
+    rng = np.random.default_rng(seed)
+    belief = first_belief(Prior(neutral_space()), number, seed=seed)
+    return replace(belief, log_weights=np.log(rng.dirichlet(np.ones(number))))
 
 
 def random_query(rng, regions=3):

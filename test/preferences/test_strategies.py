@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planar_people import neutral_space, random_query, weight_space
+from planar_people import neutral_space, random_belief, random_query, weight_space
 
 from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.preferences.belief import first_belief
@@ -17,12 +17,6 @@ from handover_ros.preferences.reference import plain_information
 from handover_ros.preferences.strategies import STRATEGIES, select
 
 seeds = st.integers(0, 10**6)
-
-
-def random_belief(seed, number=25):
-    rng = np.random.default_rng(seed)
-    belief = first_belief(Prior(neutral_space()), number, seed=seed)
-    return replace(belief, log_weights=np.log(rng.dirichlet(np.ones(number))))
 
 
 @settings(max_examples=30)
