@@ -62,15 +62,22 @@ SHOULDERS = 1.40  # [m]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """True expected cost of the planned handovers over that of planning with the truth, after 0, 1, ... answers.
+    """True expected cost of the planned handovers, after 0, 1, ... answers.
 
     Attributes:
-        ratios: Shape (handovers + 1,).
+        costs: Shape (handovers + 1,).
+        best: Of planning with the truth.
         answers: Number of answers that were taken in.
     """
 
-    ratios: FloatArray
+    costs: FloatArray
+    best: float
     answers: int
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Over that of planning with the truth, shape (handovers + 1,)."""
+        return self.costs / self.best
 
 
 def measure(seed: int, quick: bool) -> dict[str, float]:
@@ -81,12 +88,15 @@ def measure(seed: int, quick: bool) -> dict[str, float]:
     for strategy in ("active_value", "active", "passive"):
         curves = [laboratory.teach(seed, person, strategy) for person in range(people)]
         ratios = np.array([curve.ratios for curve in curves])
+        costs, best = np.array([curve.costs for curve in curves]), sum(curve.best for curve in curves)
         print(f"  {strategy}: mean cost over truth {np.round(ratios.mean(axis=0), 3).tolist()}")
         print(f"  {strategy}: median              {np.round(np.median(ratios, axis=0), 3).tolist()}")
         print(f"  {strategy}: answers taken in    {sum(curve.answers for curve in curves)} of {people * HANDOVERS}")
         metrics |= {
             f"learning_{strategy}_cost_over_truth_first": float(ratios[:, 0].mean()),
             f"learning_{strategy}_cost_over_truth": float(ratios[:, -1].mean()),
+            f"learning_{strategy}_cost_over_truth_median": float(np.median(ratios[:, -1])),
+            f"learning_{strategy}_cost_over_truth_of_all": float(costs[:, -1].sum() / best),
             f"learning_{strategy}_within_10_percent": float((ratios[:, -1] <= 1.10).mean()),
             f"learning_{strategy}_answers_share": sum(curve.answers for curve in curves) / (people * HANDOVERS),
         }
@@ -117,25 +127,24 @@ class Laboratory:
         """Return how the planned handovers get better for one person."""
         rng = np.random.default_rng((seed, number))
         person = TruePerson(random_taste(self.body, rng))
-        best = [self.planned_cost(name, person, person.preference) for name in JUDGED]
+        best = sum(self.planned_cost(name, person, person.preference) for name in JUDGED)
         settings = LearnerSettings(rationality=RATIONALITY, particles=2000, seed=number)
         with tempfile.TemporaryDirectory() as folder:
             learner = PreferenceLearner(self.catalogue, self.planner.grippers, BeliefStore(Path(folder)), settings)
             learner.activate(self.profile)
-            ratios, answers = [self.ratio(learner, person, best)], 0
+            costs, answers = [self.believed_cost(learner, person)], 0
             for handover in range(HANDOVERS):
                 answers += self.ask(learner, person, strategy, handover, rng)
-                ratios.append(self.ratio(learner, person, best))
-        return Curve(np.array(ratios), answers)
+                costs.append(self.believed_cost(learner, person))
+        return Curve(np.array(costs), best, answers)
 
-    def ratio(self, learner: PreferenceLearner, person: TruePerson, best: list[float]) -> float:
-        """Return the true cost of what is planned with the belief over that of what is planned with the truth."""
+    def believed_cost(self, learner: PreferenceLearner, person: TruePerson) -> float:
+        """Return the true cost of what is planned with the belief."""
         assert learner.person is not None
         believed = None
         if learner.person.belief.observations:
             believed = point_estimates(learner.person.belief)["expected"]
-        costs = [self.planned_cost(name, person, believed) for name in JUDGED]
-        return float(np.sum(costs) / np.sum(best))
+        return sum(self.planned_cost(name, person, believed) for name in JUDGED)
 
     def planned_cost(self, name: str, person: TruePerson, preference: Preference | None) -> float:
         """Return the true expected total cost (3.7) of the handover planned for a preference; None: nobody's."""

@@ -18,7 +18,7 @@ from handover_ros.preferences.belief import PARTICLES, Belief, first_belief
 from handover_ros.preferences.belief_file import PersonBelief
 from handover_ros.preferences.information import AnswerKind
 from handover_ros.preferences.offered import free_for_hand, offered_query
-from handover_ros.preferences.prior import Prior, population_prior
+from handover_ros.preferences.prior import Prior, population_prior, typical_prior
 from handover_ros.preferences.query import Answer, Chart, Query, posture_answer, region_answer
 from handover_ros.preferences.space import PreferenceSpace, arm_space
 from handover_ros.preferences.strategies import Selection, select
@@ -39,7 +39,8 @@ class LearnerSettings:
         rationality_range: Factor by which it may be more or less and is averaged over; 1: it is known.
         particles: Their number.
         retention: What an answer still counts one answer later.
-        prior: ``even``, or ``population``: what the stored beliefs of others show.
+        prior: ``even`` over the bounds; ``typical``: around what is usual; ``population``: what the stored beliefs of
+            others show, as long as there are none ``typical``.
         spread: Standard deviation [rad] between a posture as tracked and as modelled.
         answers: ``posture``, or ``region``: which of a choice counts.
         seed: Of all random draws.
@@ -301,7 +302,7 @@ class PreferenceLearner:
     def _first(self, profile_id: str) -> Belief:
         """Return what is believed of somebody who has not answered yet."""
         settings, space = self.settings, self._space()
-        prior = Prior(space)
+        prior = Prior(space) if settings.prior == "even" else typical_prior(space, Preference())
         if settings.prior == "population":
             size = space.bounds.shape[1]
             others = [

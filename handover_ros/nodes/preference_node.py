@@ -48,7 +48,12 @@ PARAMETERS = (
     ),
     ParameterSpec("particles", DEFAULTS.particles, "of the belief", 100, 100_000),
     ParameterSpec("retention", DEFAULTS.retention, "what an answer still counts one answer later", 0.1, 1.0),
-    ParameterSpec("prior", DEFAULTS.prior, "even, or what the beliefs of others show", choices=("even", "population")),
+    ParameterSpec(
+        "prior",
+        "typical",
+        "first belief: even over what is possible, near what is typical, or what the beliefs of others show",
+        choices=("even", "typical", "population"),
+    ),
     ParameterSpec(
         "spread", DEFAULTS.spread, "[rad] standard deviation of a posture as tracked and modelled", 0.01, 1.0
     ),

@@ -1,4 +1,4 @@
-"""What is believed of a person before their first answer: nothing but bounds, or what a population showed."""
+"""What is believed of a person before their first answer: bounds, what is usual, or what a population showed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
+from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import FloatArray
 from handover_ros.preferences.space import PreferenceSpace
 
 LEAST_DEVIATION = 0.02  # share of the bounds' width below which a population's spread is not believed
+TYPICAL_SPREAD = (0.5, 0.8)  # [rad] between people's neutral displacements, and between logarithms of their weights
 DRAWS = 4096  # for the mass of a normal distribution within the bounds
 
 
@@ -85,6 +87,20 @@ class Prior:
         lower, upper = self.space.bounds
         drawn = self.population.sample(DRAWS, np.random.default_rng(0))
         return float(np.log(max(1, ((drawn >= lower) & (drawn <= upper)).all(axis=1).sum()) / DRAWS))
+
+
+def typical_prior(space: PreferenceSpace, usual: Preference, spread: tuple[float, float] = TYPICAL_SPREAD) -> Prior:
+    """Return what is to be believed of anybody: near to what is usual, as a wide normal distribution.
+
+    Args:
+        space: What is learned.
+        usual: Neutral posture and weights; clipped to the bounds.
+        spread: Standard deviations of neutral displacements [rad] and of the logarithms of weights.
+    """
+    lower, upper = space.bounds
+    middle = space.coordinates(usual.neutral, usual.weights, float(np.sqrt(np.prod(space.rationality_bounds))))
+    deviations = np.array([spread[0] if name.startswith("neutral_") else spread[1] for name in space.names])
+    return Prior(space, Normal(np.clip(middle, lower, upper), np.diag(np.square(deviations))))
 
 
 def population_prior(space: PreferenceSpace, beliefs: Sequence[tuple[FloatArray, FloatArray]]) -> Prior:

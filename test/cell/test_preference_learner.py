@@ -16,6 +16,7 @@ from handover_ros.cell.preference_learner import (
     point_estimates,
 )
 from handover_ros.cell.store import StoreError
+from handover_ros.ergonomics.arm_costs import Preference
 from handover_ros.errors import BadModelError, BadRequestError, UnknownNameError
 from handover_ros.geometry import transform_from_xyz_rpy
 from handover_ros.objects.catalogue import load_catalogue
@@ -202,6 +203,26 @@ def test_others_tell_of_the_next_person(tmp_path):
     assert even.prior.population is None
     assert known.prior.population is not None
     assert known.entropy < even.entropy
+
+
+def test_a_typical_belief_is_about_what_is_usual_and_wide(tmp_path):
+    """So that a few answers of somebody usual do not make plans worse than none."""
+    usual = Preference()
+    beliefs = {}
+    for prior in ("even", "typical"):
+        learner = learner_in(tmp_path / prior, replace(SETTINGS, prior=prior))
+        before = learner.person.belief
+        for number in range(3):
+            learner.add(taken(learner, number))
+        beliefs[prior] = before, learner.person.belief
+    first = point_estimates(beliefs["typical"][0])["mean"]
+    np.testing.assert_allclose(first.neutral, usual.neutral, atol=0.25)
+    assert beliefs["typical"][0].entropy < beliefs["even"][0].entropy
+    nobody = learner_in(tmp_path / "nobody", replace(SETTINGS, prior="population")).person.belief
+    np.testing.assert_array_equal(nobody.particles, beliefs["typical"][0].particles)
+    means = {prior: point_estimates(after)["mean"].neutral for prior, (_, after) in beliefs.items()}
+    apart = {prior: np.abs(mean - usual.neutral).sum() for prior, mean in means.items()}
+    assert apart["typical"] < apart["even"]
 
 
 def test_the_expected_preference_has_the_mean_cost(tmp_path):
