@@ -87,6 +87,32 @@ def independent(first: npt.ArrayLike, second: npt.ArrayLike, direction: Directio
     )
 
 
+def pooled(first: npt.ArrayLike, second: npt.ArrayLike, direction: Direction) -> Comparison:
+    """Return whether the first values are greater or less than the second (t-test of two samples of equal variance)."""
+    a, b = (values[np.isfinite(values)] for values in (np.asarray(first, float), np.asarray(second, float)))
+    if min(len(a), len(b)) < 2 or max(np.ptp(a), np.ptp(b)) == 0.0:
+        nan = float("nan")
+        return Comparison(f"pooled t-test, {direction}", nan, nan, nan, nan, 1.0, len(a) + len(b))
+    found = stats.ttest_ind(a, b, alternative=direction)
+    interval_of = stats.ttest_ind(a, b).confidence_interval(CONFIDENCE)
+    return Comparison(
+        f"pooled t-test, {direction}",
+        float(a.mean() - b.mean()),
+        float(interval_of.low),
+        float(interval_of.high),
+        float(found.statistic),
+        float(found.pvalue),
+        len(a) + len(b),
+    )
+
+
+def alike(first: npt.ArrayLike, second: npt.ArrayLike, margin: float, unit: str) -> list[Comparison]:
+    """Return the two one-sided paired t-tests of equivalence: the mean difference is within the margin both ways."""
+    differences = np.asarray(first, dtype=float) - np.asarray(second, dtype=float)
+    name = f"equivalence within {margin:g} {unit}, paired t-test"
+    return [against(differences, margin, "less", name), against(differences, -margin, "greater", name)]
+
+
 def correlated(first: npt.ArrayLike, second: npt.ArrayLike) -> Comparison:
     """Return whether two quantities (n,) grow together (Spearman); the interval is by Fisher's transformation."""
     a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
