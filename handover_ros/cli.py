@@ -261,7 +261,7 @@ def objects(
 
 @app.command()
 def study(
-    name: Annotated[str, typer.Argument(metavar="STUDY", help="chapter4; chapter2, chapter3 and all are to come.")],
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="chapter2, chapter3, chapter4, beyond or all.")],
     quick: Annotated[bool, typer.Option("--quick", help="Fewer people and particles.")] = False,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes; the numbers are the same for any.")] = 2,
     seed: Annotated[int, typer.Option(min=0, help="Seed of people, menus and answers.")] = 1,

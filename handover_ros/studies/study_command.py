@@ -13,7 +13,9 @@ from rich.table import Table
 from handover_ros.cell.late_progress import LateProgress
 from handover_ros.cell.report import output_folder, write_json
 from handover_ros.studies.claims import Claim
-from handover_ros.studies.registry import study_named
+from handover_ros.studies.registry import ALL, STUDIES, study_named
+from handover_ros.studies.study import Study
+from handover_ros.studies.study_page import write_page
 from handover_ros.studies.study_report import counts, write_report, write_summary, write_tables
 from handover_ros.studies.tables import merged
 from handover_ros.studies.units import unit_store, work_on
@@ -43,14 +45,60 @@ class StudyRequest:
 
 
 def run_study(request: StudyRequest, console: Console) -> int:
-    """Run a study and return the exit status.
+    """Run a study, or all of them, and return the exit status.
 
     Raises:
         HandoverError: Bad input.
     """
-    study = study_named(request.name)
-    settings = study.settings(request.quick)
+    wanted = [*STUDIES.values()] if request.name == ALL else [study_named(request.name)]
     folder = output_folder(request.out, f"study-{request.name}")
+    began = time.perf_counter()
+    metrics: dict[str, float] = {}
+    claims: list[Claim] = []
+    files: list[Path] = []
+    pages: list[Path] = []
+    for study in wanted:
+        if len(wanted) > 1:
+            console.print(f"[bold]{study.title}[/bold]")
+        own = run_one(study, request, folder / study.name if len(wanted) > 1 else folder, console)
+        for name, value in own.metrics.items():
+            metrics[f"{study.name}_{name}" if len(wanted) > 1 else name] = value
+        claims += own.claims
+        files += own.files
+        pages.append(own.report)
+    metrics["seconds"] = time.perf_counter() - began
+    title = "All studies" if len(wanted) > 1 else wanted[0].title
+    files.append(write_page(folder / "report.html", title, pages))
+    documents = [claim.document() for claim in claims]
+    for target in filter(None, (folder / "study.json", request.json_file)):
+        write_json(
+            target, "study", True, request.seed, metrics, documents, files, study=request.name, folder=str(folder)
+        )
+    console.print(f"everything is in {folder}; begin with report.html", highlight=False, soft_wrap=True)
+    return 0
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a study's run left.
+
+    Attributes:
+        metrics: Numbers of the run.
+        claims: With their verdicts.
+        files: All that was written.
+        report: ``report.md``.
+    """
+
+    metrics: dict[str, float]
+    claims: list[Claim]
+    files: list[Path]
+    report: Path
+
+
+def run_one(study: Study, request: StudyRequest, folder: Path, console: Console) -> Ran:
+    """Run one study into a folder, and print its claims."""
+    folder.mkdir(parents=True, exist_ok=True)
+    settings = study.settings(request.quick)
     units = study.units(settings)
     began = time.perf_counter()
     kept: list[int] = []
@@ -69,7 +117,7 @@ def run_study(request: StudyRequest, console: Console) -> int:
     files.append(write_summary(folder, study, settings, request.seed, claims))
     figures = study.figures(settings, tables, request.seed, folder)
     files += [file for figure in figures for file in figure.files]
-    files.append(write_report(folder, study, settings, request.seed, claims, figures))
+    report = write_report(folder, study, settings, request.seed, claims, figures)
     console.print(table_of(claims))
     metrics: dict[str, float] = {
         "parts": len(units),
@@ -78,11 +126,7 @@ def run_study(request: StudyRequest, console: Console) -> int:
         "seconds": time.perf_counter() - began,
         **{f"claims_{verdict.replace(' ', '_')}": number for verdict, number in counts(claims).items()},
     }
-    documents = [claim.document() for claim in claims]
-    for target in filter(None, (folder / "study.json", request.json_file)):
-        write_json(target, "study", True, request.seed, metrics, documents, files, study=study.name, folder=str(folder))
-    console.print(f"everything is in {folder}; begin with report.md", highlight=False, soft_wrap=True)
-    return 0
+    return Ran(metrics, claims, [*files, report], report)
 
 
 def table_of(claims: list[Claim]) -> Table:
