@@ -41,6 +41,7 @@ REACH = {
     "belief_update_ms": ("<=", 10.0),
     "query_select_ms": ("<=", 100.0),
     "learning_active_value_cost_over_truth": ("<=", 1.10),
+    "learning_active_value_cost_over_truth_of_all": ("<=", 1.10),
     "mutual_information_speedup": (">=", 1000.0),
 }
 AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
