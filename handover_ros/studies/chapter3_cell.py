@@ -21,7 +21,7 @@ from handover_ros.planning.goal_stance import Box
 from handover_ros.planning.handover import Search
 from handover_ros.planning.objectives import OBJECTIVES, expected_cost
 from handover_ros.planning.offers import HandoverTask
-from handover_ros.planning.optimiser import search
+from handover_ros.planning.optimiser import SearchSettings, search
 from handover_ros.planning.problem import Candidate
 from handover_ros.robot import RobotModel
 from handover_ros.studies.chapter3_settings import Attitude, Chapter3Settings, ShelfSettings
@@ -103,8 +103,12 @@ class Cell:
         if self.settings.robot_reach and task.robot is not None:
             robot = RobotBeforeTorso(task.robot, situation.world_from_torso)
         problem = replace(situation.problem, objective=OBJECTIVES[objective])
-        found = search(problem, robot, wanted=1).candidates
-        return found[0] if found else None
+        found = [
+            candidate
+            for number in range(self.settings.searches)
+            for candidate in search(problem, robot, settings=SearchSettings(seed=number), wanted=1).candidates
+        ]
+        return min(found, key=lambda candidate: candidate.value, default=None)
 
     def goal(
         self, task: HandoverTask, name: str, number: int, seed: int, furniture: FloatArray | ShelfSettings | None = None

@@ -130,6 +130,7 @@ class Chapter3Settings(Schema):
     myopia: MyopiaSettings
     regrasp: Annotated[float, Field(ge=1.0, le=100.0)]
     robot_reach: bool
+    searches: Annotated[int, Field(ge=1, le=20)]
     moves_to_goal: bool
     scene: str
     shoulders: Annotated[float, Field(gt=0.5, le=2.5)]
