@@ -107,7 +107,7 @@ def _workspaces(rows: Rows) -> list[Claim]:
         settled(
             "workspace_overlap",
             CHAPTER,
-            "Workspaces of restricted arms of two subjects overlap little, less than those of free arms",
+            "Workspaces of restricted arms of two subjects overlap less than those of free arms",
             "figure 2.7: only a small area of overlap",
             f"shared part of two subjects' union: strapped {shared['strapped'].mean():.2f} (least "
             f"{shared['strapped'].min():.2f}), free {shared['free'].mean():.2f}; difference {overlap.told()}",

@@ -36,8 +36,9 @@ def draw_workspaces(folder: Path, settings: Chapter2Settings, rows: Rows, seed: 
     """Draw figure 2.7 of the two subjects whose restricted workspaces overlap least."""
     least = min(only(rows, condition="strapped"), key=lambda row: row["shared"])
     pair = (int(least["subject"]), int(least["other"]))
+    half = 0.05 + max(np.abs(workspace(settings, number, seed, "free").centres).max() for number in pair)
     with styled() as pyplot:
-        figure, table = pyplot.subplots(len(CONDITIONS), len(VIEWS), figsize=(9.0, 6.4), layout="constrained")
+        figure, table = pyplot.subplots(len(CONDITIONS), len(VIEWS), figsize=(9.0, 6.6), layout="constrained")
         for line, condition in zip(table, CONDITIONS):
             spaces = [workspace(settings, number, seed, condition) for number in pair]
             for axes, (name, shown, signs, labels) in zip(line, VIEWS):
@@ -45,7 +46,7 @@ def draw_workspaces(folder: Path, settings: Chapter2Settings, rows: Rows, seed: 
                     _outline(axes, space, shown, signs, colour)
                 _draw_body(axes, settings, pair[0], seed, shown, signs)
                 axes.set(title=f"{name}: {TITLES[condition]}", xlabel=labels[0], ylabel=labels[1])
-                axes.set_aspect("equal", adjustable="datalim")
+                axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
         handles = [pyplot.Line2D([], [], color=colour, linewidth=2.0) for colour in PAIR]
         names = [f"subject {number + 1}" for number in pair]
         figure.legend(handles, names, loc="outside lower center", ncols=2, frameon=False)
@@ -135,7 +136,7 @@ def draw_sensitivity(folder: Path, rows: Rows, tastes: Sequence[str]) -> list[Pa
                     _draw_mean(axes, place + 0.2 * (index - 1), by_subject(own, condition, scheme), scheme, label)
             axes.set(title=TITLES[condition], xticks=range(len(tastes)))
             axes.set_xticklabels([taste.replace("_", "\n") for taste in tastes])
-            axes.set_ylim(bottom=0.0)
+        line[0].set_ylim(bottom=0.0)
         line[0].set_ylabel("torso rotation [deg]")
         line[0].legend(frameon=False)
         return save(pyplot, figure, folder, "figure_2_8b_costs")

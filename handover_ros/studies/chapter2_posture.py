@@ -21,7 +21,7 @@ from handover_ros.sim.person_spec import ARM_SLICE, HANDS, JOINTS
 from handover_ros.studies.chapter2_settings import HoldSettings, TasteSettings
 
 STARTS = (-0.4, 0.4)  # [rad] of the trunk's turn from which the cheapest posture is looked for
-EVALUATIONS, PRECISION = 60, 1e-6
+EVALUATIONS, PRECISION = 60, 1e-5
 STEP = 1e-6  # [m], [rad] of numerical derivatives
 TORSO_YAW = JOINTS.index("torso_yaw")
 SHOULDERS = ("shoulder_flexion", "shoulder_abduction", "shoulder_rotation")
@@ -37,12 +37,14 @@ class Taken:
         cost: Of the posture, misses left out.
         position_miss: The larger one of both hands [m].
         angle_miss: The same [rad], between hand axes.
+        solution: Displacements, then where in their regions the hands are; to look for others nearby.
     """
 
     displacements: FloatArray
     cost: float
     position_miss: float
     angle_miss: float
+    solution: FloatArray
 
     def reaches(self, hold: HoldSettings) -> bool:
         """Return whether the object is held."""
@@ -98,12 +100,13 @@ class Taking:
         self._bounds = np.concatenate(bounds)
         self._last: tuple[bytes, dict[str, tuple[FloatArray, FloatArray]]] = (b"", {})
 
-    def cheapest(self, neutral: FloatArray, weights: FloatArray) -> Taken:
+    def cheapest(self, neutral: FloatArray, weights: FloatArray, near: Taken | None = None) -> Taken:
         """Return the cheapest posture.
 
         Args:
             neutral: The posture found comfortable, shape (20,).
             weights: Of the squared displacements from it, shape (20,).
+            near: Where to look for it; None: the trunk turned to either side.
         """
         root = np.sqrt(weights)
         lower, upper = self._bounds.T
@@ -119,9 +122,7 @@ class Taking:
             return np.concatenate([own, *(self._scales[:, None] * self._slope(hand, values) for hand in HANDS)])
 
         best = None
-        for turn in STARTS:
-            start = np.concatenate([neutral, self._bounds[COUNT:].mean(axis=1)])
-            start[TORSO_YAW] += turn
+        for start in self._starts(neutral) if near is None else [near.solution]:
             start = np.clip(start, lower + inner, upper - inner)
             found = least_squares(
                 residuals,
@@ -144,7 +145,13 @@ class Taking:
             float(weights @ (posture - neutral) ** 2),
             float(np.linalg.norm(misses[:, :3], axis=1).max()),
             float(np.linalg.norm(misses[:, 3:].reshape(-1, 3), axis=1).max()),
+            best.x,
         )
+
+    def _starts(self, neutral: FloatArray) -> list[FloatArray]:
+        """Return where the search begins: the comfortable posture (20,), turned, and the middle of each grasp."""
+        start = np.concatenate([neutral, self._bounds[COUNT:].mean(axis=1)])
+        return [start + turn * (np.arange(len(start)) == TORSO_YAW) for turn in STARTS]
 
     def _grips(self, hand: str, values: FloatArray) -> FloatArray:
         """Return world_from_hand (1 + 2 k, 4, 4) on the object: as it is, each of k free offsets a step up, down."""

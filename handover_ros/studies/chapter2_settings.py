@@ -89,14 +89,14 @@ class QuickSettings(Schema):
     """What ``--quick`` makes smaller."""
 
     subjects: Count
-    repetitions: Count
+    repetitions: Annotated[int, Field(ge=1, le=1000)]
 
 
 class Chapter2Settings(Schema):
     """All of it."""
 
     subjects: Count
-    repetitions: Count
+    repetitions: Annotated[int, Field(ge=1, le=1000)]
     quick: QuickSettings
     scene: str
     object: str

@@ -52,7 +52,7 @@ def laboratory(scene_name: str) -> Laboratory:
     return Laboratory(scene, HandoverPlanner(robot, scene, load_catalogue(), load_schemes(), settings))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Trial:
     """One trial before anything is offered.
 
@@ -107,6 +107,7 @@ def _run(
     before = watched.stand(person.standing)
     plan = offered(place, settings.object, trial.scheme, before, found, person)
     rows: Rows = []
+    usual: Taken | None = None
     for taste, factors in settings.tastes.items():
         row: dict[str, Any] = {
             "subject": number,
@@ -124,7 +125,8 @@ def _run(
         taking = Taking(
             kinematics, place.planner.motion.object_model(settings.object), plan.world_from_object, settings.hold
         )
-        taken = taking.cheapest(comfortable, weights_of(kinematics, factors))
+        taken = taking.cheapest(comfortable, weights_of(kinematics, factors), usual)
+        usual = usual or taken
         again = Watched(kinematics, found.skeleton, settings.markers, np.random.default_rng(noise))
         stood = again.stand(person.standing)
         row |= _measured(stood, again.reach(person.standing, taken.displacements), kinematics, person, taken)

@@ -32,9 +32,9 @@ TASTES = ("usual", "stiff_trunk")
 SMALL = FULL.model_copy(
     update={
         "subjects": 2,
-        "repetitions": 2,
+        "repetitions": 1,
         "tastes": {name: FULL.tastes[name] for name in TASTES},
-        "workspace_voxel": 0.08,
+        "workspace_voxel": 0.1,
         "calibration_frames": 600,
     }
 )
