@@ -46,19 +46,22 @@ WIDTH = 0.8  # of a group of bars
 Series = Mapping[str, FloatArray]  # values over blocks (b,) by name
 
 
-def draw_bars(axes: Any, groups: Mapping[str, Series], legend: str = "") -> None:
-    """Draw a group of bars for each name: means, and the 95 % confidence of each mean apart from blocks' own levels.
+def draw_bars(axes: Any, groups: Mapping[str, Series], names: Sequence[str] = ()) -> None:
+    """Draw a group of bars for each name: means and their 95 % confidence.
 
     Args:
         axes: Of pyplot.
         groups: Series by the name under the group; all have the same blocks in one group.
-        legend: Title of the legend.
+        names: Given: the series are differences within blocks, and these are all names in order; else they are costs,
+            from which each block's own level is taken out.
     """
-    names = list(dict.fromkeys(name for series in groups.values() for name in series))
+    differences, names = bool(names), names or list(dict.fromkeys(name for each in groups.values() for name in each))
     for place, name in enumerate(names):
         shown = [number for number, series in enumerate(groups.values()) if name in series]
         series = [each for each in groups.values() if name in each]
-        ends = np.array([interval(_without_levels(each)[name]) for each in series])
+        if not series:
+            continue
+        ends = np.array([interval(each[name] if differences else _without_levels(each)[name]) for each in series])
         means = ends.mean(axis=1)
         axes.bar(
             np.array(shown) + WIDTH * ((place + 0.5) / len(names) - 0.5),
@@ -71,9 +74,8 @@ def draw_bars(axes: Any, groups: Mapping[str, Series], legend: str = "") -> None
         )
     axes.set_xticks(range(len(groups)), [name.replace("_", " ") for name in groups])
     axes.grid(axis="x", visible=False)
-    axes.set_ylim(bottom=0.0)
-    if legend:
-        axes.legend(title=legend, frameon=False)
+    if not differences:
+        axes.set_ylim(bottom=0.0)
 
 
 def _without_levels(series: Series) -> dict[str, FloatArray]:
@@ -99,40 +101,59 @@ def draw_metrics(folder: Path, rows: Rows, factor: str, name: str) -> list[Path]
     groups["all"] = {each: whole[each] for each in ORDER}
     with styled() as pyplot:
         figure, axes = pyplot.subplots(figsize=(6.6, 3.2), layout="constrained")
-        draw_bars(axes, groups, "objective")
+        draw_bars(axes, groups)
+        _legend_below(figure, axes, "objective")
         axes.set_ylabel("expected total cost")
         return save(pyplot, figure, folder, name)
 
 
 def draw_mismatch(folder: Path, rows: Rows, trues: Sequence[str], name: str) -> list[Path]:
-    """Draw what each true person pays for each assumption (figures 3.6 and 3.7), one panel an attitude."""
-    attitudes = list(dict.fromkeys(row["attitude"] for row in rows))
-    with styled() as pyplot:
-        size = (1.6 + (0.9 + 0.8 * len(trues)) * len(attitudes), 3.2)
-        figure, panels = pyplot.subplots(1, len(attitudes), figsize=size, layout="constrained", squeeze=False)
-        for axes, attitude in zip(panels[0], attitudes):
-            costs = costs_by_person(only(rows, attitude=attitude))
-            draw_bars(axes, {true: {each: costs[each, true] for each in PERSONS} for true in trues})
-            axes.set_xlabel("true person")
-            axes.set_title(ATTITUDES[attitude])
-        panels[0, 0].set_ylabel("expected total cost")
-        _legend_below(figure, panels[0, 0], "robot expects")
-        return save(pyplot, figure, folder, name)
+    """Draw what each true person pays for each assumption (figures 3.6 and 3.7), one column an attitude."""
+    groups = {}
+    for attitude in dict.fromkeys(row["attitude"] for row in rows):
+        costs = costs_by_person(only(rows, attitude=attitude))
+        groups[attitude] = {true: {each: costs[each, true] for each in PERSONS} for true in trues}
+    return _draw_assumptions(folder, groups, {true: true for true in trues}, name)
 
 
 def draw_one_assumption(folder: Path, rows: Rows, letter: int, name: str) -> list[Path]:
-    """Draw myopia (``letter`` 0, figure 3.8) or noise (1, figure 3.9) alone, one panel an attitude."""
-    attitudes, kinds = list(dict.fromkeys(row["attitude"] for row in rows)), ("MG", "NP")[letter]
+    """Draw myopia (``letter`` 0, figure 3.8) or noise (1, figure 3.9) alone, one column an attitude."""
+    kinds, groups = ("MG", "NP")[letter], {}
+    for attitude in dict.fromkeys(row["attitude"] for row in rows):
+        costs = pooled_costs(costs_by_person(only(rows, attitude=attitude)), letter)
+        groups[attitude] = {NAMES[true]: {each: costs[each, true] for each in kinds} for true in kinds}
+    return _draw_assumptions(folder, groups, {NAMES[true]: true for true in kinds}, name)
+
+
+def _draw_assumptions(
+    folder: Path, groups: Mapping[str, Mapping[str, dict[str, FloatArray]]], right: Mapping[str, str], name: str
+) -> list[Path]:
+    """Draw costs by true person and assumption, and below by how much they exceed those of the right assumption.
+
+    Args:
+        folder: Of the files.
+        groups: Costs over goals by attitude, true person and assumption.
+        right: The right assumption by true person.
+        name: Of the files.
+    """
+    most = max(len(series) for each in groups.values() for series in each.values())
+    size = (1.0 + (1.0 + 0.3 * most * len(right)) * len(groups), 4.8)
     with styled() as pyplot:
-        size = (1.4 + 2.2 * len(attitudes), 3.2)
-        figure, panels = pyplot.subplots(1, len(attitudes), figsize=size, layout="constrained", squeeze=False)
-        for axes, attitude in zip(panels[0], attitudes):
-            costs = pooled_costs(costs_by_person(only(rows, attitude=attitude)), letter)
-            groups = {NAMES[true]: {each: costs[each, true] for each in kinds} for true in kinds}
-            draw_bars(axes, groups)
-            axes.set_xlabel("true person")
-            axes.set_title(ATTITUDES[attitude])
+        figure, panels = pyplot.subplots(
+            2, len(groups), figsize=size, layout="constrained", squeeze=False, sharex="col"
+        )
+        for upper, lower, (attitude, people) in zip(panels[0], panels[1], groups.items()):
+            draw_bars(upper, people)
+            losses = {
+                true: {each: values - series[right[true]] for each, values in series.items() if each != right[true]}
+                for true, series in people.items()
+            }
+            draw_bars(lower, losses, names=list(dict.fromkeys(each for series in people.values() for each in series)))
+            lower.axhline(0.0, color="#222222", linewidth=0.8)
+            lower.set_xlabel("true person")
+            upper.set_title(ATTITUDES[attitude])
         panels[0, 0].set_ylabel("expected total cost")
+        panels[1, 0].set_ylabel("more than with\nthe right assumption")
         _legend_below(figure, panels[0, 0], "robot expects")
         return save(pyplot, figure, folder, name)
 
@@ -163,7 +184,8 @@ def draw_infeasible(folder: Path, rows: Rows, name: str) -> list[Path]:
     goals = len({row["goal"] for row in only(rows, study=MODELS)})
     with styled() as pyplot:
         figure, axes = pyplot.subplots(figsize=(4.2, 3.2), layout="constrained")
-        draw_bars(axes, groups, "robot expects")
+        draw_bars(axes, groups)
+        _legend_below(figure, axes, "robot expects")
         axes.set_ylabel(f"infeasible grasps of {goals}, per subject")
         return save(pyplot, figure, folder, name)
 

@@ -33,6 +33,7 @@ RADII = ((0.044, 0.036), (0.036, 0.026), (0.026, 0.030))  # [m] of upper arm, fo
 RGBA = tuple[float, float, float, float]
 SKIN: RGBA = (0.90, 0.62, 0.0, 1.0)
 JAWS = 0.05  # [m] between the jaws of the gripper that is drawn
+MOST = 6.0  # cost that is drawn at most
 RASTER = 2  # zorder below which the SVG holds pixels: thousands of faces
 TITLES = {
     WITHOUT: ("likeliest configuration", "greatest part of the cost", "all configurations", "costs"),
@@ -55,7 +56,7 @@ def draw_case(folder: Path, tables: dict[str, Rows], model: ObjectModel, goal: s
     titles = TITLES[goal]
     with styled() as pyplot:
         figure, panels = pyplot.subplots(
-            len(ORDER), len(titles), figsize=(2.75 * len(titles), 7.4), layout="constrained", squeeze=False
+            len(ORDER), len(titles), figsize=(2.5 * len(titles), 7.4), layout="constrained", squeeze=False
         )
         for line, objective in zip(panels, ORDER):
             rows = {
@@ -74,7 +75,7 @@ def draw_case(folder: Path, tables: dict[str, Rows], model: ObjectModel, goal: s
                 _picture(line[1], [object_surface(model, torso_from_goal)], only(arms, picture="goal"))
                 _costs(line[2], rows["grasps"], COLOURS[objective])
             cost = only(tables["cases"], person=0, goal=goal, objective=objective)[0]["expected_cost"]
-            line[0].set_ylabel(f"{NAMES[objective]}\nexpected cost {cost:.2f}")
+            line[0].set_ylabel(f"{NAMES[objective]}:\n{cost:.2f} to be expected")
         for axes, title in zip(panels[0], titles):
             axes.set_title(title)
         return save(pyplot, figure, folder, name)
@@ -126,7 +127,7 @@ def _histogram(axes: Any, rows: Rows, colour: str) -> None:
     axes.bar(
         starts + 0.25 * BIN, column(rows, "probability"), 0.5 * BIN, align="edge", color=colour, label="probability"
     )
-    axes.set(xlabel="cost", ylim=(0.0, 1.0), xlim=(0.0, starts[-1] + BIN))
+    axes.set(xlabel="cost", ylim=(0.0, 1.0), xlim=(0.0, MOST))
     axes.legend(frameon=False, loc="upper right")
 
 
@@ -135,9 +136,9 @@ def _costs(axes: Any, rows: Rows, colour: str) -> None:
     now, chance = column(rows, "hand_cost"), column(rows, "probability")
     later = column(rows, "goal_cost")
     placed = np.isfinite(later)
-    top = 8.0
+    top = MOST
     sizes = 12.0 + 160.0 * chance
     axes.scatter(now[placed], later[placed], sizes[placed], color=colour, alpha=0.75, linewidths=0.0)
     axes.scatter(now[~placed], np.full((~placed).sum(), top), sizes[~placed], color=colour, marker="x")
-    axes.set(xlabel="cost at the handover", ylabel="cost at the goal", xlim=(0.0, 8.0), ylim=(0.0, top + 0.6))
-    axes.text(8.0, top - 0.2, "cannot be placed", ha="right", va="top", fontsize=7.5)
+    axes.set(xlabel="cost at the handover", ylabel="cost at the goal", xlim=(0.0, MOST), ylim=(0.0, top + 0.6))
+    axes.text(MOST, top - 0.2, "cannot be placed", ha="right", va="top", fontsize=7.5)
