@@ -71,8 +71,12 @@ def by_subject(rows: Rows, condition: str, scheme: str) -> FloatArray:
 def _means(rows: Rows, condition: str) -> str:
     """Return the mean rotations of all schemes in words."""
     told = ", ".join(f"{scheme} {np.nanmean(values(rows, condition, scheme)):.1f}" for scheme in SCHEMES)
-    missing = [scheme for scheme in SCHEMES if np.isnan(values(rows, condition, scheme)).any()]
-    gaps = [f"{int(np.isnan(values(rows, condition, scheme)).sum())} {scheme} not planned" for scheme in missing]
+    gaps = []
+    for scheme in SCHEMES:
+        own = only(rows, condition=condition, scheme=scheme)
+        missing, short = sum(row[ROTATION] is None for row in own), sum(row["taken"] is False for row in own)
+        gaps += [f"{missing} of {len(own)} {scheme} not planned"] if missing else []
+        gaps += [f"{short} of {len(own)} {scheme} not quite reached"] if short else []
     return "; ".join([f"{told} deg", *gaps])
 
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from handover_ros.arm.hand import hand_frames
 from handover_ros.cell.calibrate_command import ROBUST_SCALE, first_coordinates
-from handover_ros.errors import BadModelError, HandoverError
+from handover_ros.errors import BadModelError
 from handover_ros.geometry import FloatArray
 from handover_ros.mocap.frames import MarkerFrame, MarkerStatus
 from handover_ros.mocap.marker_sets import load_marker_set
@@ -121,24 +121,17 @@ class Watched:
         self._skin = skin_motion((1, len(self._body.marker_names), 3), given, rng)[0]
 
     def see(self, postures: FloatArray) -> SkeletonEstimate:
-        """Return the estimate in the last of some frames, in which the person has postures (frames, 20).
-
-        Raises:
-            HandoverError: Tracking has lost the person.
-        """
+        """Return the estimate in the last of some frames, in which the person has postures (frames, 20)."""
         poses = self._kinematics.torso_pose(postures[:, :6])
         markers = forward(self._body.tree, self._body.coordinates(postures[:, self._columns], poses))
         markers = markers + self._skin + self._given.noise * self._rng.standard_normal(markers.shape)
         markers[self._rng.random(markers.shape[:2]) < self._given.missing] = np.nan
-        estimate = None
         for positions in markers:
             seen = np.isfinite(positions[:, 0])
             status = np.where(seen, MarkerStatus.MEASURED, MarkerStatus.MISSING).astype(np.uint8)
             stamp = self._frames / self._given.rate
             estimate = self._tracker.update(MarkerFrame(stamp, self._frames, stamp, positions, status))
             self._frames += 1
-        if estimate is None or not estimate.valid:
-            raise HandoverError("tracking lost the person")
         return estimate
 
     def stand(self, posture: FloatArray) -> SkeletonEstimate:

@@ -37,14 +37,12 @@ class Taken:
         cost: Of the posture, misses left out.
         position_miss: The larger one of both hands [m].
         angle_miss: The same [rad], between hand axes.
-        solution: Displacements, then where in their regions the hands are; to look for others nearby.
     """
 
     displacements: FloatArray
     cost: float
     position_miss: float
     angle_miss: float
-    solution: FloatArray
 
     def reaches(self, hold: HoldSettings) -> bool:
         """Return whether the object is held."""
@@ -100,13 +98,12 @@ class Taking:
         self._bounds = np.concatenate(bounds)
         self._last: tuple[bytes, dict[str, tuple[FloatArray, FloatArray]]] = (b"", {})
 
-    def cheapest(self, neutral: FloatArray, weights: FloatArray, near: Taken | None = None) -> Taken:
+    def cheapest(self, neutral: FloatArray, weights: FloatArray) -> Taken:
         """Return the cheapest posture.
 
         Args:
             neutral: The posture found comfortable, shape (20,).
             weights: Of the squared displacements from it, shape (20,).
-            near: Where to look for it; None: the trunk turned to either side.
         """
         root = np.sqrt(weights)
         lower, upper = self._bounds.T
@@ -122,7 +119,7 @@ class Taking:
             return np.concatenate([own, *(self._scales[:, None] * self._slope(hand, values) for hand in HANDS)])
 
         best = None
-        for start in self._starts(neutral) if near is None else [near.solution]:
+        for start in self._starts(neutral):
             start = np.clip(start, lower + inner, upper - inner)
             found = least_squares(
                 residuals,
@@ -145,7 +142,6 @@ class Taking:
             float(weights @ (posture - neutral) ** 2),
             float(np.linalg.norm(misses[:, :3], axis=1).max()),
             float(np.linalg.norm(misses[:, 3:].reshape(-1, 3), axis=1).max()),
-            best.x,
         )
 
     def _starts(self, neutral: FloatArray) -> list[FloatArray]:

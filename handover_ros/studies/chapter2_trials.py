@@ -105,9 +105,8 @@ def _run(
     noise = int(rng.integers(2**31))
     watched = Watched(kinematics, found.skeleton, settings.markers, np.random.default_rng(noise))
     before = watched.stand(person.standing)
-    plan = offered(place, settings.object, trial.scheme, before, found, person)
+    plan = offered(place, settings.object, trial.scheme, before, found, person) if before.valid else None
     rows: Rows = []
-    usual: Taken | None = None
     for taste, factors in settings.tastes.items():
         row: dict[str, Any] = {
             "subject": number,
@@ -125,11 +124,13 @@ def _run(
         taking = Taking(
             kinematics, place.planner.motion.object_model(settings.object), plan.world_from_object, settings.hold
         )
-        taken = taking.cheapest(comfortable, weights_of(kinematics, factors), usual)
-        usual = usual or taken
+        taken = taking.cheapest(comfortable, weights_of(kinematics, factors))
         again = Watched(kinematics, found.skeleton, settings.markers, np.random.default_rng(noise))
         stood = again.stand(person.standing)
-        row |= _measured(stood, again.reach(person.standing, taken.displacements), kinematics, person, taken)
+        row |= dict.fromkeys(MEASURES)
+        after = again.reach(person.standing, taken.displacements)
+        if after.valid:
+            row |= _measured(stood, after, kinematics, person, taken)
         row |= {"taken": taken.reaches(settings.hold), "nominal": plan.nominal}
         row |= {f"offer_{axis}": float(plan.world_from_object[i, 3]) for i, axis in enumerate("xyz")}
         rows.append(row)

@@ -207,7 +207,7 @@ def tables(rotations, errors=5.0, shared=(0.6, 0.2), rear_spread=10.0):
                     for repetition in range(5):
                         value = rotations[condition][scheme] + rng.random()
                         row = {"subject": number, "condition": condition, "taste": taste, "scheme": scheme}
-                        found["trials"].append(row | {"repetition": repetition, "rotation_deg": value})
+                        found["trials"].append(row | {"repetition": repetition, "rotation_deg": value, "taken": True})
     return found
 
 
@@ -258,7 +258,7 @@ def test_handovers_that_could_not_be_planned_are_left_out_and_told():
             row["rotation_deg"] = None
     found = {claim.name: claim for claim in claims(made, TASTES, FULL.alike, 1.75)}
     assert found["strapped_constant"].verdict == "reproduced"
-    assert "5 personal not planned" in found["strapped_constant"].ours
+    assert "5 of 30 personal not planned" in found["strapped_constant"].ours
     assert found["strapped_constant"].comparisons[0].n == 5
     rows = [row for row in made["trials"] if row["taste"] == "usual"]
     assert each_subject(rows, "strapped", "constant") == (5, 6)
