@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from handover_ros.geometry import FloatArray
-from handover_ros.studies.chapter3_claims_conditions import ATTITUDES, pooled_costs
+from handover_ros.studies.chapter3_claims_mismatch import ATTITUDES, pooled_costs
 from handover_ros.studies.chapter3_claims_users import PART, by_program, infeasible_counts
 from handover_ros.studies.chapter3_settings import PERSONS
 from handover_ros.studies.chapter3_tables import beside, costs_by_person

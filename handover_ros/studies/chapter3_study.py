@@ -18,7 +18,8 @@ from handover_ros.studies.chapter3_charts import (
     draw_mismatch,
     draw_one_assumption,
 )
-from handover_ros.studies.chapter3_claims_conditions import case_claims, metric_claims, mismatch_claims, region_claim
+from handover_ros.studies.chapter3_claims_mismatch import mismatch_claims
+from handover_ros.studies.chapter3_claims_objectives import case_claims, metric_claims, region_claim
 from handover_ros.studies.chapter3_claims_users import user_claims
 from handover_ros.studies.chapter3_conditions import mismatch_rows
 from handover_ros.studies.chapter3_pictures import draw_case
@@ -112,6 +113,9 @@ def notes(given: Chapter3Settings) -> list[str]:
         "Objects are offered in any attitude, as in the dissertation; in the mismatch study also upright only.",
         "Costs have other weights than the dissertation's, so that levels cannot be compared, only differences and "
         "ratios within a study. Goals are random: the dissertation does not print its own.",
+        f"Mismatch study: {given.mismatch.goals} goals, that is {16 * given.mismatch.goals} conditions for each way to "
+        "offer the object (dissertation: 10 goals, 160 conditions). `chapter3_planning_time.json` tells how long 160 "
+        "conditions take on this machine.",
         f"Case studies: {given.case_study.people} persons; pictures show the first. Great configurations have at least "
         "half the weight of the best one, bad ones less than a hundredth.",
         f"The simulated user studies ({users.people.metrics} and {users.people.models} subjects, as many as lived "

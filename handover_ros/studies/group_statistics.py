@@ -45,8 +45,9 @@ def tukey(
     names = list(groups)
     values = [np.asarray(each, dtype=float)[np.isfinite(each)] for each in groups.values()]
     count = sum(map(len, values))
-    found = stats.tukey_hsd(*values)
-    ends = found.confidence_interval(CONFIDENCE)
+    with np.errstate(divide="ignore", invalid="ignore"):  # without any scatter p is 0 or not a number
+        found = stats.tukey_hsd(*values)
+        ends = found.confidence_interval(CONFIDENCE)
     result = {}
     for (first, second), direction in pairs.items():
         row, column = names.index(first), names.index(second)
