@@ -87,8 +87,10 @@ def independent(first: npt.ArrayLike, second: npt.ArrayLike, direction: Directio
     )
 
 
-def pooled(first: npt.ArrayLike, second: npt.ArrayLike, direction: Direction) -> Comparison:
-    """Return whether the first values are greater or less than the second (t-test of two samples of equal variance)."""
+def pooled(
+    first: npt.ArrayLike, second: npt.ArrayLike, direction: Direction | Literal["two-sided"] = "two-sided"
+) -> Comparison:
+    """Return whether the first values differ from the second, or how (t-test of two samples of equal variance)."""
     a, b = (values[np.isfinite(values)] for values in (np.asarray(first, float), np.asarray(second, float)))
     if min(len(a), len(b)) < 2 or max(np.ptp(a), np.ptp(b)) == 0.0:
         nan = float("nan")

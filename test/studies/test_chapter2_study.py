@@ -205,7 +205,7 @@ def tables(rotations, errors=5.0, shared=(0.6, 0.2), rear_spread=10.0):
             for taste in TASTES:
                 for scheme in SCHEMES:
                     for repetition in range(5):
-                        value = rotations[condition][scheme] + rng.random()
+                        value = rotations[condition][scheme] + 0.2 * repetition + 0.1 * number + 0.05 * rng.random()
                         row = {"subject": number, "condition": condition, "taste": taste, "scheme": scheme}
                         found["trials"].append(row | {"repetition": repetition, "rotation_deg": value, "taken": True})
     return found
@@ -227,6 +227,7 @@ def test_data_as_the_dissertation_has_them_reproduce_its_claims():
         "reprojection",
         "workspace_overlap",
         "workspace_rear",
+        "free_no_difference",
         "free_alike",
         "strapped_constant",
         "strapped_relative",
