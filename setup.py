@@ -60,7 +60,7 @@ setup(
         "joblib>=1.3",
     ],
     extras_require={
-        "test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8"],
+        "test": ["pytest<9", "hypothesis>=6.80", "ruff>=0.5", "mypy>=1.8", "mkdocs>=1.6,<2"],
         # Whom ./handover bench measures against; it installs them by itself, in a folder of their own.
         "bench": ["biorbd==1.12.4", "EAIK==1.2.2", "ssik==8.2.0", "cython==3.3.1"],
     },
