@@ -150,7 +150,10 @@ def _every(rows: Rows, factor: str) -> Claim:
     for level in sorted({row[factor] for row in rows}):
         costs = beside(only(rows, **{factor: level}), "objective", "cost", (other,))
         comparisons += [paired(costs[baseline], costs[OURS], "greater") for baseline in BASELINES]
-        told.append(f"{level}: " + " / ".join(f"{mean_of(costs[name]):.2f}" for name in (OURS, MEAN_COST, OPTIONS)))
+        told.append(
+            f"{level + 1 if factor == 'goal' else level}: "
+            + " / ".join(f"{mean_of(costs[name]):.2f}" for name in (OURS, MEAN_COST, OPTIONS))
+        )
     return settled(
         f"metrics_every_{factor}",
         CHAPTER,

@@ -300,6 +300,11 @@ def test_user_claims_follow_the_measures():
         assert none[f"users_models_{part}_OM5"] == "not reproduced"
 
 
+def test_programs_that_differ_are_not_unchanged():
+    found = verdicts(user_claims(made_up_users(lambda study, part, _: 2.0 if part == "aware" else 0.0)))
+    assert {found[f"users_models_aware_{measure}"] for measure in MEASURES} == {"not reproduced"}
+
+
 def test_what_everybody_does_at_one_goal_only_does_not_settle_a_claim():
     rows = made_up_users(lambda *_: 0.0)
     for row in rows:
