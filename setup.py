@@ -50,6 +50,7 @@ setup(
         "ezc3d>=1.5",
         "pydantic>=2.6,<3",
         "PyYAML>=6.0",
+        "markdown-it-py>=2.2",
         "matplotlib>=3.8",
         "rich>=13.0",
         "typer>=0.12",
