@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -215,6 +216,15 @@ class PersonSpec(Schema):
             if getattr(self.limits, name).elbow_flexion[0] < 0.0:
                 raise ValueError(f"limits.{name}.elbow_flexion: the lower limit must be >= 0 (the elbow bends one way)")
         return self
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> PersonSpec:
+        """Return a changed person, checked anew; arrays that were derived of this one are not taken over.
+
+        Raises:
+            ValidationError: The changes do not fit.
+        """
+        kept = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self).model_validate({**kept, **(update or {})})
 
     @cached_property
     def lower(self) -> FloatArray:

@@ -85,3 +85,16 @@ def test_a_missing_marker_and_an_unknown_person_are_named(tmp_path: Path):
         load_person(str(file))
     with pytest.raises(UnknownNameError, match="adult"):
         load_person("nobody")
+
+
+def test_a_changed_person_has_arrays_of_its_own():
+    """Those of the first have been asked for before, and must not come along."""
+    adult = load_person("adult")
+    assert adult.upper[JOINTS.index("right_elbow_flexion")] > 2.0
+    limits = adult.limits.model_copy(
+        update={"right": adult.limits.right.model_copy(update={"elbow_flexion": (0.1, 1.5)})}
+    )
+    changed = adult.model_copy(update={"limits": limits})
+    assert changed.upper[JOINTS.index("right_elbow_flexion")] == pytest.approx(1.5)
+    with pytest.raises(ValueError, match="stature"):
+        adult.model_copy(update={"stature": 1.2})
