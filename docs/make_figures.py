@@ -78,6 +78,8 @@ def page() -> str:
             text += f"\n### Figure {number}\n\n{plain(caption)}\n"
             if picture(name, number).is_file():
                 text += f"\n![Figure {number}](pictures/studies/{picture(name, number).name})\n"
+            else:
+                text += "\nNot drawn here: run the command.\n"
     return text
 
 
@@ -93,11 +95,12 @@ def shrink(source: Path, target: Path) -> None:
     image.quantize(COLOURS).save(target, optimize=True)
 
 
-def make_pictures(name: str, folder: Path) -> None:
-    """Run a study into a folder, or go on with it there, and keep its figures."""
-    command = [REPOSITORY / "handover", "study", name, "--quick", "--seed", "1", "--jobs", "1", "--out", folder]
-    subprocess.run(command, check=True)
+def make_pictures(name: str, folder: Path) -> bool:
+    """Run a study into a folder and keep its figures; return whether it went well."""
+    command = [str(REPOSITORY / "handover"), "study", name, "--quick", "--seed", "1", "--out", str(folder)]
+    done = subprocess.run(command, check=False)
     keep_pictures(name, folder)
+    return done.returncode == 0
 
 
 def keep_pictures(name: str, folder: Path) -> None:
@@ -112,12 +115,15 @@ def main(arguments: Sequence[str]) -> int:
     if list(arguments) not in ([], ["--page"]):
         print(f"usage: {COMMAND} [--page]", file=sys.stderr)
         return 2
-    if not arguments:
-        for name in CAPTIONS:
-            with tempfile.TemporaryDirectory() as folder:
-                make_pictures(name, Path(folder))
+    failed = []
+    for name in CAPTIONS if not arguments else ():
+        with tempfile.TemporaryDirectory() as folder:
+            if not make_pictures(name, Path(folder)):
+                failed.append(name)
     PAGE.write_text(page(), encoding="utf-8")
-    return 0
+    if failed:
+        print(f"these studies failed, their pictures are as before: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":
