@@ -20,7 +20,14 @@ SOURCE = Path(__file__).resolve().parent.parent
 PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
 STANDARD = set(sys.stdlib_module_names)
 # Where the name to import is not the name to install.
-DISTRIBUTIONS = {"pinocchio": "pin", "coal": "pin", "yaml": "pyyaml", "PIL": "pillow", "mpl_toolkits": "matplotlib"}
+DISTRIBUTIONS = {
+    "pinocchio": "pin",
+    "coal": "pin",
+    "yaml": "pyyaml",
+    "PIL": "pillow",
+    "mpl_toolkits": "matplotlib",
+    "markdown_it": "markdown-it-py",
+}
 
 
 def python_files(*folders):

@@ -113,7 +113,7 @@ def launches(
     nodes: tuple[str, ...], person: str, robot: str, scene: str, seed: int, speed: float, folder: Path
 ) -> dict[str, NodeLaunch]:
     """Return how to start each node of a simulated cell."""
-    simulated: dict[str, object] = {"use_sim_time": True} if "sim_node" in nodes else {}
+    simulated: dict[str, object] = {"use_sim_time": "sim_node" in nodes}
     own: dict[str, dict[str, object]] = {
         "sim_node": {
             "scene": scene,
@@ -126,6 +126,7 @@ def launches(
         "planner_node": {"robot": robot, "scene": scene, **simulated},
         "executive_node": {"robot": robot, **simulated},
     }
+    # Without the simulator nobody gives a clock: whatever the file says, the machine's own counts.
     return {node: NodeLaunch(node, own.get(node, simulated), config_directory() / f"{node}.yaml") for node in nodes}
 
 

@@ -16,7 +16,7 @@ from handover_ros.arm.model import JOINT_NAMES, arm_of
 from handover_ros.cell.learning_curve import TruePerson
 from handover_ros.cell.preference_learner import OfferedHandover, TakenHandover
 from handover_ros.ergonomics.arm_costs import Preference
-from handover_ros.errors import HandoverError
+from handover_ros.errors import HandoverError, InfeasibleError
 from handover_ros.geometry import FloatArray, invert_transform, transform_from_xyz_rpy
 from handover_ros.mocap.frames import MarkerFrame, MarkerStatus
 from handover_ros.mocap.marker_sets import load_marker_set
@@ -25,7 +25,7 @@ from handover_ros.objects.scene import load_scene
 from handover_ros.planning import CellSnapshot, HandoverPlanner, HandoverRequest, TrackedPerson, load_schemes
 from handover_ros.planning.expected_cost import ExpectedCostScheme
 from handover_ros.planning.handover import Search
-from handover_ros.planning.menu import menu
+from handover_ros.planning.menu import Dish, menu
 from handover_ros.planning.offered_scheme import OfferedScheme
 from handover_ros.planning.types import ChosenOffer
 from handover_ros.preferences.likelihood import choice_probabilities
@@ -161,9 +161,18 @@ class Laboratory:
         """Return a menu: at most ``count`` handovers of each object that the planner thinks this person can take.
 
         Raises:
-            HandoverError: There is none of an object.
+            HandoverError: There is none of any object.
         """
-        cell = self.snapshot(person, person.profile.skeleton, None)
+        cell, scheme = self.snapshot(person, person.profile.skeleton, None), self.scheme("expected_cost")
+        dishes: list[Dish] = []
+        refusals: list[str] = []
+        for name in objects:
+            try:
+                dishes += menu(self.planner, scheme, name, cell, count, budget=BUDGET, seed=seed)
+            except InfeasibleError as error:  # somebody of little motion may not take everything
+                refusals.append(str(error))
+        if not dishes:
+            raise HandoverError(f"nothing can be offered to this person: {'; '.join(refusals)}")
         return [
             OfferedHandover(
                 dish.object_name,
@@ -172,8 +181,7 @@ class Laboratory:
                 dish.arm,
                 dish.object_from_gripper,
             )
-            for name in objects
-            for dish in menu(self.planner, self.scheme("expected_cost"), name, cell, count, budget=BUDGET, seed=seed)
+            for dish in dishes
         ]
 
     def taken(
