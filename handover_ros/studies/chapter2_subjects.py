@@ -36,17 +36,12 @@ def _subject(like: str, strap: str, given: SubjectSettings, number: int, seed: i
     neutral = np.clip(neutral + given.neutral * rng.standard_normal(len(neutral)), -np.pi, np.pi)
     comfort = body.comfort.model_copy(update={"neutral": ArmAngles(**dict(zip(ARM_JOINTS, neutral.tolist())))})
     shifts = rng.uniform(-given.strap_shift, given.strap_shift, len(ARM_JOINTS))
-    free = _whole(body.model_copy(update={"dominant": dominant, "comfort": comfort}))
+    free = body.model_copy(update={"dominant": dominant, "comfort": comfort})
     if condition == "free":
         return free
     whose = load_person(strap)
     strapped = _shifted(getattr(whose.limits, whose.dominant), shifts, getattr(free.limits, dominant))
-    return _whole(free.model_copy(update={"limits": free.limits.model_copy(update={dominant: strapped})}))
-
-
-def _whole(changed: PersonSpec) -> PersonSpec:
-    """Return a changed copy checked again, and without the arrays that the original had derived."""
-    return PersonSpec.model_validate(changed.model_dump())
+    return free.model_copy(update={"limits": free.limits.model_copy(update={dominant: strapped})})
 
 
 def _with_limbs(usual: PersonSpec, given: SubjectSettings, rng: np.random.Generator) -> PersonSpec:
