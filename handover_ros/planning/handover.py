@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -187,7 +188,10 @@ class HandoverPlanner:
         def reachable(world_from_object: FloatArray, index: int) -> bool:
             world_from_gripper = world_from_object @ picking.grasps[index]
             checker.hold(object_solids(model, ways[index]))
-            return reach.quick_check(world_from_gripper, checker, standing, search.offering)
+            return reach.quick_check(world_from_gripper, checker, standing, search.offering, leaves)
+
+        def leaves(displacements: FloatArray) -> bool:
+            return motion.draws_back(picking.arm, displacements)
 
         def stretches(world_from_object: FloatArray) -> FloatArray:
             found = reach.inverse_kinematics.stretches(world_from_object, grasps)
@@ -298,7 +302,8 @@ class HandoverPlanner:
                 continue
             carried = pick.lift_line[-1]
             free = reach.solutions(world_from_gripper, pick.carrying, standing, search.offering, carried)
-            for posture in free[:POSTURES_TRIED]:
+            leaving = filter(lambda posture: self.motion.draws_back(picking.arm, posture), free)
+            for posture in islice(leaving, POSTURES_TRIED):
                 cost = float(np.max(np.abs(posture - carried))) + TURN_WEIGHT * towards
                 found.append(Combination(pick, offer, world_from_gripper, posture, cost))
         return sorted(found, key=lambda combination: combination.cost)[:PATHS_TRIED]

@@ -23,6 +23,8 @@ from handover_ros.robot.trajectory import Trajectory, parameterise
 
 START_TOLERANCE = 0.02  # [rad] that a measured displacement may lie outside its limits
 HELD_DISTANCE = 0.02  # [m] from between the fingertips to the object in a closed gripper
+RETREAT_LEANS = (0.0, 0.45, -0.45)  # [rad] from straight back, in the plane between the open fingers
+RETREAT_SHARES = (1.0, 0.75, 0.5)  # of the distance that is wanted
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT_SEARCH = PathSettings(iterations=700)
 FREE_SEARCH = PathSettings(iterations=2000)
@@ -179,13 +181,25 @@ class MotionPlanner:
         return straight_line(kinematics, valid, start, pose, goal)
 
     def back_off(self, arm: str, start: FloatArray, valid: Validity) -> FloatArray | None:
-        """Return displacements (k, n) that draw the gripper straight back, as far as that is possible, or None."""
-        backwards = -self.reaches[arm].inverse_kinematics.gripper_pose(start)[:3, 2]
-        for share in (1.0, 0.75, 0.5):
-            path = self.line(arm, start, share * self.settings.retreat_distance * backwards, valid)
-            if path is not None:
-                return path
+        """Return displacements (k, n) that draw the gripper back, as straight and as far as that is possible, or None.
+
+        Where straight back is not possible the gripper leans away from it between its open fingers, which slide past
+        the object then.
+        """
+        turn = self.reaches[arm].inverse_kinematics.gripper_pose(start)[:3, :3]
+        for lean in RETREAT_LEANS:
+            backwards = turn @ np.array([np.sin(lean), 0.0, -np.cos(lean)])
+            for share in RETREAT_SHARES:
+                path = self.line(arm, start, share * self.settings.retreat_distance * backwards, valid)
+                if path is not None:
+                    return path
         return None
+
+    def draws_back(self, arm: str, start: FloatArray) -> bool:
+        """Return whether the gripper can draw back from ``start`` at all, collisions aside."""
+        model = self.robot.arm(arm)
+        lower, upper = model.lower - 1e-9, model.upper + 1e-9
+        return self.back_off(arm, start, lambda q: bool(np.all(q >= lower) and np.all(q <= upper))) is not None
 
     def leave(self, arm: str, start: FloatArray, snapshot: CellSnapshot) -> FloatArray:
         """Return displacements (k, n) from ``start`` to where no object is between the fingers; k = 1: none is."""

@@ -101,28 +101,31 @@ class Reach:
         checker: CollisionChecker | None,
         standing: FloatArray,
         reasons: Reasons,
+        leaves: Validity = lambda displacements: True,
     ) -> bool:
-        """Return whether the gripper can be at a pose free of collisions, as far as a quick look tells.
+        """Return whether the gripper can be at a pose free of collisions, and leave it, as far as a quick look tells.
 
         Args:
             world_from_gripper: Shape (4, 4).
             checker: Of the surroundings; None: collisions aside.
             standing: Whole configuration (nq,) that holds everything but this arm.
             reasons: Where a refusal goes.
+            leaves: Whether the arm can draw back from displacements (n,), looked at last.
         """
         found = self.inverse_kinematics.quick(world_from_gripper)
         if not len(found):
             within = self.inverse_kinematics.within_arm_length(world_from_gripper)
             reasons.add(Reason.JOINT_LIMITS if within else Reason.OUT_OF_REACH)
             return False
-        if checker is None:
-            return True
         whole = np.array(standing)
+        problem = "in collision where the object is offered"
         for displacements in found:
             whole[self._indices] = displacements
-            if checker.is_free(whole):
-                return True
-        reasons.add(Reason.BLOCKED, "in collision where the object is offered")
+            if checker is None or checker.is_free(whole):
+                if leaves(displacements):
+                    return True
+                problem = "no straight way back from where the object is offered"
+        reasons.add(Reason.BLOCKED, problem)
         return False
 
     def solutions(

@@ -44,6 +44,18 @@ def test_the_offer_follows_the_person(x, y, yaw, height):
     assert made.facing_region.startswith("handle")
 
 
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_a_person_who_sways_a_little_is_always_handed_something(name):
+    """The best offers lie at the edge of the robot's reach, where it must still be able to draw back."""
+    draw = np.random.default_rng(3)
+    for _ in range(5):
+        shift, turns = draw.normal(0.0, 0.003, 3), draw.normal(0.0, 0.004, 3)
+        world_from_torso = torso() @ transform_from_xyz_rpy(shift, turns)
+        cell = snapshot(person=TrackedPerson(world_from_torso))
+        made = plan(name, cell, scheme="expected_cost", world_from_goal=SCENE.goals.get(name))
+        check_plan(made, cell)
+
+
 @pytest.mark.parametrize("name", [name for name in sorted(CATALOGUE) if CATALOGUE[name].keep_upright])
 def test_open_containers_stay_upright_on_the_way(name):
     """Lifted and presented, they lean no more than the limit, between the knots too."""
