@@ -56,6 +56,7 @@ setup(
         "typer>=0.12",
         "toppra>=0.6",
         "rosbags>=0.10",
+        "mcap>=1.2,<2",
         "pillow>=10.0",
         "threadpoolctl>=3.2",
         "joblib>=1.3",

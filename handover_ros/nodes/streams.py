@@ -19,17 +19,19 @@ STOP_TIMEOUT = 1.0  # [s]
 WAIT = 200_000_000  # [ns] longest wait, so that a stop is noticed
 
 
-class _OwnThread(CallbackGroup):
-    """Keeps a subscription out of the executor."""
+class OwnThread(CallbackGroup):
+    """Keeps a subscription out of the executor: its owner takes the messages in a thread of its own."""
 
     def can_execute(self, entity: Any) -> bool:
+        """Return False: the executor is not to look at it."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
+        """Return False: the executor has nothing to do."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        return None
+        """Do nothing."""
 
 
 class StreamReader:
@@ -54,7 +56,7 @@ class StreamReader:
         self._callback = callback
         self._context = node.context
         self._subscription = node.create_subscription(
-            message_type, topic, callback, profile, callback_group=_OwnThread()
+            message_type, topic, callback, profile, callback_group=OwnThread()
         )
         self._message_type = message_type
         self._stop = threading.Event()
