@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
+import threading
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 from handover_ros.errors import BadRequestError, HandoverError
 from handover_ros.mocap import frames
 from handover_ros.mocap.marker_sets import load_marker_set
+from handover_ros.nodes.convert import seconds_from_stamp
 from handover_ros.nodes.convert_human import (
     Looks,
     fill_joint_state,
@@ -36,6 +37,8 @@ from handover_ros.skeleton.warm_up import warm_up_tracking
 
 SILENT_AFTER = 1.0  # [s] of wall time without frames until the node says so
 CLOCK_RESTART = 1.0  # [s] stamps that go back farther than this start a new session
+SWITCH_DELAY = 0.5  # [s] of the markers' time from the activation of a profile to the first frame tracked with it
+PREPARATION_LIMIT = 5.0  # [s] of wall time that frames wait for a profile which is due
 TORSO = "torso"
 DEFAULTS = TrackingSettings()
 
@@ -64,6 +67,29 @@ class Person:
         return self.profile.skeleton.root == TORSO
 
 
+@dataclass(eq=False)
+class Change:
+    """A change of who is tracked. It is made at a frame that the stamps tell: what is replayed is tracked alike.
+
+    Attributes:
+        at: Stamp [s] of the first frame that is tracked so.
+        prepared: Set when ``person`` and ``problem`` are there.
+        person: Who is tracked; None: the torso only.
+        problem: Why a profile cannot be tracked.
+        patience: How long frames wait [s] for it.
+    """
+
+    at: float
+    prepared: threading.Event = field(default_factory=threading.Event)
+    person: Person | None = None
+    problem: str = ""
+    patience: float = PREPARATION_LIMIT
+
+    def is_due(self, stamp: float) -> bool:
+        """Return whether a frame is to be tracked so: it is late enough, or of another clock."""
+        return not self.at - 2.0 * SWITCH_DELAY <= stamp < self.at
+
+
 class SkeletonNode(HandoverNode):
     """Publishes ``human/skeleton_state``, ``human/joint_states``, ``human/visual``, ``human/robot_description``."""
 
@@ -73,14 +99,14 @@ class SkeletonNode(HandoverNode):
             load_marker_set(self.parameters["marker_set"])
         file = self.parameters["profile_file"]
         self.profile: Profile | None = read_profile(Path(file)) if file else None
+        self.profile_at = float("-inf")
         self.settings = TrackingSettings(marker_noise=self.parameters["marker_noise"], limits=self.parameters["limits"])
         warm_up_tracking()
         self.tracker: TorsoTracker | None = None
         self.person: Person | None = None
         self.names: tuple[str, ...] = ()
         self.markers, self.set_version, self.set_name = 0, 0, ""
-        self.preparation = itertools.count(1)
-        self.newest = 0  # number of the newest preparation; older ones are not wanted any more
+        self.change: Change | None = None  # the newest; older ones are not wanted any more
         self.frames, self.bad_frames, self.last_problem, self.profile_problem = 0, 0, "", ""
         self.last_stamp, self.last_visual, self.clear_visual = float("-inf"), float("-inf"), False
         self.last_arrival = monotonic()
@@ -115,13 +141,14 @@ class SkeletonNode(HandoverNode):
         except HandoverError as error:
             self.names = ()
             with self.stream.lock:
-                self.tracker = None
+                self.tracker, self.change = None, None
                 self.swap(None)
             self.last_problem = str(error)
             self.degraded(f"mocap/marker_set: {error}")
             return
         with self.stream.lock:
             self.swap(None)
+            self.change = None
             self.tracker, self.markers, self.set_version = tracker, len(self.names), message.version
             self.last_stamp = float("-inf")
         self.set_name = marker_set.name
@@ -133,44 +160,59 @@ class SkeletonNode(HandoverNode):
             self.profile, self.profile_problem = profile_from_message(message), ""
         except HandoverError as error:
             self.profile, self.profile_problem = None, str(error)
+        activated = seconds_from_stamp(message.header.stamp)
+        self.profile_at = activated + SWITCH_DELAY if activated > 0.0 else float("-inf")
         self.prepare()
 
     def prepare(self) -> None:
         """Make the tracker of the profile, beside the stream, which goes on meanwhile."""
-        self.newest = next(self.preparation)
         if not self.names:
             return  # the names of the markers come later
+        change = Change(self.profile_at, problem=self.profile_problem)
         if self.profile is None:
-            self.change_person(None, self.profile_problem)
+            change.prepared.set()
+            self.change = change
+            self.announce(change)
             return
-        number = self.newest
-        future = self.worker.submit(prepared_person, self.profile, self.names, self.settings)
-        future.add_done_callback(lambda done: self.on_prepared(number, done))
+        self.change = change
+        future = self.worker.submit(self.work_on_change, change, self.profile, self.names)
+        future.add_done_callback(lambda done: self.on_prepared(change, done))
 
-    def on_prepared(self, number: int, done: Future) -> None:
-        """Begin to use a tracker, unless another profile or other markers came meanwhile."""
-        if number != self.newest:
-            return
-        error = done.exception()
-        if error is None:
-            self.change_person(done.result(), "")
-        elif isinstance(error, HandoverError):
-            self.change_person(None, str(error))
-        else:
+    def work_on_change(self, change: Change, profile: Profile, names: tuple[str, ...]) -> None:
+        """Prepare a person, or say why that is not possible; runs in the worker thread."""
+        try:
+            change.person = prepared_person(profile, names, self.settings)
+        except HandoverError as error:
+            change.problem = str(error)
+        change.prepared.set()
+
+    def on_prepared(self, change: Change, done: Future) -> None:
+        """Tell of a change, unless another profile or other markers came meanwhile."""
+        if (error := done.exception()) is not None:
             raise error
+        if change is self.change or (self.change is None and change.person is self.person):
+            self.announce(change)
 
-    def change_person(self, person: Person | None, problem: str) -> None:
-        """Track ``person``, or the torso only, and say so."""
-        with self.stream.lock:
-            self.swap(person)
-        self.profile_problem = problem
+    def announce(self, change: Change) -> None:
+        """Say who is tracked, or why nobody in particular is."""
+        person, self.profile_problem = change.person, change.problem
         self.description_publisher.publish(String(data=person.description if person else ""))
-        if problem:
-            self.degraded(f"tracking the torso only: {problem}")
+        if change.problem:
+            self.degraded(f"tracking the torso only: {change.problem}")
         elif person is not None:
-            self.ready(f"tracking {person.profile.person} with {len(self.joint_message.name)} displacements")
+            names = person.profile.skeleton.displacement_names
+            self.ready(f"tracking {person.profile.person} with {len(names)} displacements")
         else:
             self.ready(f"tracking the torso with marker set {self.set_name}")
+
+    def make_change(self, change: Change) -> None:
+        """Track with what is due from this frame on; the frames behind it wait until it is prepared."""
+        if change.prepared.wait(change.patience):
+            self.swap(change.person)
+            if self.change is change:
+                self.change = None
+        else:
+            change.patience = 0.0
 
     def swap(self, person: Person | None) -> None:
         """Change what the next frame is tracked with; under the stream's lock."""
@@ -198,6 +240,8 @@ class SkeletonNode(HandoverNode):
         if self.last_stamp - CLOCK_RESTART < frame.stamp <= self.last_stamp:
             self.reject(f"stamp {frame.stamp:.6f} is not later than the one before, {self.last_stamp:.6f}")
             return
+        if (change := self.change) is not None and change.is_due(frame.stamp):
+            self.make_change(change)
         self.frames += 1
         self.last_stamp = frame.stamp
         self.message.header.frame_id = message.header.frame_id

@@ -20,8 +20,10 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from handover_ros.files import write_whole
+from handover_ros.nodes.convert import seconds_from_stamp, stamp_from_seconds
 from handover_ros.nodes.convert_profile import active_profile_message, profile_from_message
 from handover_ros.nodes.runtime import LATCHED, RECORDER, SENSOR_PUBLISHER
+from handover_ros.nodes.skeleton_node import SWITCH_DELAY
 from handover_ros.skeleton.profile import Profile, profile_document, profile_to_json
 
 RATE, FRAMES = 100.0, 1600
@@ -130,6 +132,21 @@ def test_a_person_is_tracked_swapped_and_left_cleanly(bench: Bench):
     gaps = np.diff([state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec for state in bench.states])
     assert gaps.min() > 0.0, "no frame is published twice"
     assert gaps.max() < 5.0 / RATE, "the swaps cost no frames"
+
+
+@pytest.mark.graph
+def test_a_profile_is_tracked_with_from_a_frame_that_the_stamps_tell(bench: Bench):
+    """So that a replay of the same messages, at any speed, gives the same states."""
+    bench.start()
+    bench.player.start()
+    bench.tracked("")
+    message = active_profile_message(bench.profile)
+    activated = 1000.0 + (bench.player.sent + 5) / RATE
+    message.header.stamp = stamp_from_seconds(activated)
+    bench.active.publish(message)
+    bench.tracked("anna")
+    stamps = {s.profile_id: seconds_from_stamp(s.header.stamp) for s in reversed(bench.states)}
+    assert 0.0 <= stamps["anna"] - (activated + SWITCH_DELAY) < 1.5 / RATE
 
 
 @pytest.mark.graph
