@@ -13,6 +13,8 @@ NODES = [
     "planner_node",
     "preference_node",
     "executive_node",
+    "recorder_node",
+    "player_node",
 ]
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from handover_ros.cell.processes import NODES
+from handover_ros.cell.processes import EXTRA_NODES, NODES, NodeLaunch
 from handover_ros.errors import HandoverError, UnknownNameError
 from handover_ros.resources import config_directory
 
@@ -42,6 +42,7 @@ PersonOption = Annotated[str, typer.Option(help="Simulated person, a file of con
 RobotOption = Annotated[str, typer.Option(help="Robot, a file of config/robots.")]
 SceneOption = Annotated[str, typer.Option(help="Scene, a file of config/scenes.")]
 MarkerSetOption = Annotated[str, typer.Option(help="Marker set of the recording; auto: the one that fits.")]
+RecordOption = Annotated[bool, typer.Option("--record/--no-record", help="Record everything said in the graph.")]
 SpeedOption = Annotated[
     float, typer.Option(min=0.0, max=100.0, help="Simulated seconds per second; 0: as fast as the machine can.")
 ]
@@ -89,6 +90,7 @@ def demo(
             "hybrid, random, active_grid, active_expected.",
         ),
     ] = "",
+    record: RecordOption = True,
     seed: SeedOption = 1,
     json_file: JsonOption = None,
     out: OutOption = None,
@@ -109,6 +111,7 @@ def demo(
         pictures=pictures,
         calibrate=(scheme == PERSONAL or bool(learn)) and recording is None if calibrate is None else calibrate,
         learn=learn,
+        record=record,
         seed=seed,
         json_file=json_file,
         out=out,
@@ -126,6 +129,7 @@ def up(
     without: Annotated[
         list[str] | None, typer.Option(help="Node not to start, e.g. sim_node when a real robot's driver runs.")
     ] = None,
+    record: RecordOption = True,
     out: OutOption = None,
 ) -> None:
     """Run the cell until Ctrl-C."""
@@ -135,7 +139,9 @@ def up(
         if name not in NODES:
             raise UnknownNameError("node", name, NODES)
     nodes = tuple(node for node in NODES if node not in (without or ()))
-    request = UpRequest(nodes=nodes, person=person, robot=robot, scene=scene, speed=speed, seed=seed, out=out)
+    request = UpRequest(
+        nodes=nodes, person=person, robot=robot, scene=scene, speed=speed, seed=seed, record=record, out=out
+    )
     raise typer.Exit(run_up(request, console, interrupted_by_signals()))
 
 
@@ -278,14 +284,77 @@ def study(
     raise typer.Exit(run_study(request, console))
 
 
+@app.command()
+def record(
+    topics: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[TOPIC...]", help="Names or regular expressions; default: everything."),
+    ] = None,
+    bag: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the bag; must not exist.")] = None,
+    storage: Annotated[str, typer.Option(help="mcap or sqlite3.")] = "mcap",
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="TOPIC", help="What is left out; may be repeated.")
+    ] = None,
+) -> None:
+    """Record what is said in the graph as a rosbag2 bag, until Ctrl-C."""
+    given = {
+        "bag": str(bag or ""),
+        "storage": storage,
+        "topics": " ".join(topics or ()),
+        "exclude": " ".join(exclude or ()),
+    }
+    launch = NodeLaunch("recorder_node", given, config_directory() / "recorder_node.yaml")
+    os.execv(sys.executable, launch.command())
+
+
+@app.command()
+def replay(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag or of a session, or a file.")],
+    node: Annotated[
+        list[str] | None,
+        typer.Option(help="Node to drive; may be repeated; default: those the bag has the inputs of."),
+    ] = None,
+    start_nodes: Annotated[
+        bool, typer.Option("--start-nodes/--no-start-nodes", help="Start them; or play to nodes that run already.")
+    ] = True,
+    speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="Recorded seconds per second.")] = 1.0,
+    start: Annotated[float, typer.Option(min=0.0, help="Where to begin [s].")] = 0.0,
+    duration: Annotated[float, typer.Option(min=0.0, help="How long [s]; 0: to the end.")] = 0.0,
+    topic: Annotated[
+        list[str] | None, typer.Option(help="What is played, name or pattern; default: all but commands.")
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="TOPIC", help="What is left out; may be repeated.")
+    ] = None,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Drive the real nodes with a bag and hold what they give against what was recorded."""
+    from handover_ros.nodes.replay import ReplayRequest, run_replay
+
+    request = ReplayRequest(
+        bag=bag,
+        nodes=tuple(node or ()),
+        start_nodes=start_nodes,
+        speed=speed,
+        start=start,
+        duration=duration,
+        topics=tuple(topic or ()),
+        exclude=tuple(exclude or ()),
+        json_file=json_file,
+        out=out,
+    )
+    raise typer.Exit(run_replay(request, console, interrupted_by_signals()))
+
+
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def run(
     context: typer.Context,
-    node: Annotated[str, typer.Argument(help=f"One of {', '.join(NODES)}.")],
+    node: Annotated[str, typer.Argument(help=f"One of {', '.join((*NODES, *EXTRA_NODES))}.")],
 ) -> None:
     """Run one node; arguments after it go to ROS, e.g. --ros-args -p marker_set:=upper_body_24."""
-    if node not in NODES:
-        raise UnknownNameError("node", node, NODES)
+    if node not in (*NODES, *EXTRA_NODES):
+        raise UnknownNameError("node", node, (*NODES, *EXTRA_NODES))
     arguments = list(context.args)
     parameter_file = config_directory() / f"{node}.yaml"
     if "--params-file" not in arguments and parameter_file.is_file():

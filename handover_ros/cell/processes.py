@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from handover_ros.errors import BadRequestError
+from handover_ros.errors import BadRequestError, HandoverError
 
 #: The nodes of the whole cell, in the order in which they are started.
 NODES = (
@@ -27,6 +27,9 @@ NODES = (
     "executive_node",
 )
 
+RECORDER = "recorder_node"
+#: Nodes that belong to no running cell, but look at it or stand in for it.
+EXTRA_NODES = (RECORDER, "player_node")
 PR_SET_PDEATHSIG = 1  # prctl(2): which signal a process gets when its parent dies
 #: Grace [s] after each signal; together below the five seconds an operator waits after Ctrl-C.
 STOP_SEQUENCE = ((signal.SIGINT, 2.5), (signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))
@@ -126,21 +129,38 @@ class CellProcesses:
         return ended
 
     def stop(self) -> dict[str, int]:
-        """Stop all nodes, the gentle way first; return their exit statuses."""
+        """Stop all nodes, the gentle way first, and the recorder last; return their exit statuses."""
         for number, grace in STOP_SEQUENCE:
-            running = [node for node in self.nodes.values() if node.status is None]
-            if not running:
-                break
-            for node in running:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(node.process.pid, number)
             deadline = time.monotonic() + grace
-            for node in running:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    node.process.wait(max(0.0, deadline - time.monotonic()))
+            for recorders in (False, True):
+                running = [
+                    node
+                    for node in self.nodes.values()
+                    if node.status is None and (node.launch.node == RECORDER) is recorders
+                ]
+                for node in running:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(node.process.pid, number)
+                for node in running:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        node.process.wait(max(0.1, deadline - time.monotonic()))
         for node in self.nodes.values():
             node.log_file.close()
         return {name: node.process.returncode for name, node in self.nodes.items()}
+
+
+def check_alive(processes: CellProcesses) -> None:
+    """Raise when a node ended that should run, with what it said last; a recorder's end stops nothing.
+
+    Raises:
+        HandoverError: A node ended.
+    """
+    for node in processes.ended():
+        line = node.last_line().removeprefix("error: ")
+        if node.launch.node == RECORDER:
+            print(f"the recording ended ({line}); the cell goes on without", file=sys.stderr)
+            continue
+        raise HandoverError(f"{node.launch.node} ended with status {node.status}: {line} (log: {node.log})")
 
 
 def end_with_parent() -> None:

@@ -7,7 +7,7 @@ import math
 import statistics
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,9 +18,10 @@ from rich.console import Console
 from rich.table import Table
 from std_msgs.msg import Header
 
-from handover_ros.cell.learning_curve import LearningStep, draw_learning, learning_table
+from handover_ros.bags.reading import BAG
+from handover_ros.cell.learning_curve import draw_learning, learning_table
 from handover_ros.cell.marker_files import AUTO, matching
-from handover_ros.cell.processes import NODES, CellProcesses, NodeLaunch
+from handover_ros.cell.processes import NODES, RECORDER, CellProcesses, NodeLaunch, check_alive
 from handover_ros.cell.report import (
     HandoverRecord,
     draw_phases,
@@ -29,7 +30,9 @@ from handover_ros.cell.report import (
     phase_table,
     write_json,
 )
-from handover_ros.errors import BadRequestError, HandoverError, UnknownNameError
+from handover_ros.cell.session import FAILED, INTERRUPTED, OK, Session, keeping, parameters_of
+from handover_ros.cell.store import default_directory
+from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.mocap.recordings import read_recording
 from handover_ros.nodes.convert import WORLD, pose_message
 from handover_ros.nodes.demo_calibration import calibrate_person
@@ -64,6 +67,7 @@ class DemoRequest:
     speed: float
     pictures: bool
     calibrate: bool
+    record: bool
     learn: str  # strategy of queries; empty: every object in turn, nothing is asked
     seed: int
     json_file: Path | None
@@ -80,6 +84,7 @@ class UpRequest:
     scene: str
     speed: float
     seed: int
+    record: bool
     out: Path | None
 
 
@@ -130,13 +135,6 @@ def launches(
     return {node: NodeLaunch(node, own.get(node, simulated), config_directory() / f"{node}.yaml") for node in nodes}
 
 
-def check_alive(processes: CellProcesses) -> None:
-    """Raise when a node ended that should run, with what it said last."""
-    for node in processes.ended():
-        line = node.last_line().removeprefix("error: ")
-        raise HandoverError(f"{node.launch.node} ended with status {node.status}: {line} (log: {node.log})")
-
-
 def recording_parameters(request: DemoRequest) -> dict[str, object]:
     """Return the motion-capture node's parameters for a recording, after a look at it.
 
@@ -169,50 +167,81 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
     for node, parameters in more.items():
         launch = plan[node]
         plan[node] = NodeLaunch(node, {**launch.parameters, **parameters}, launch.parameter_file)
+    recorder = {RECORDER: recorder_launch(folder)} if request.record else {}
+    session = Session.begin(folder, "demo", vars(request), [*recorder.values(), *plan.values()], folder / PROFILES)
+    with keeping(session) as kept:
+        try:
+            shown = demonstrate(request, console, Interrupt(stop), folder, objects, {**recorder, **plan})
+        except InterruptedByOperatorError:
+            kept.outcome = INTERRUPTED
+            console.print("interrupted; the nodes are stopped")
+            return EXIT_INTERRUPTED
+        kept.metrics, kept.outcome = shown.metrics, OK if shown.ok else FAILED
+        tell(request, console, folder, shown)
+    return 0 if shown.ok else EXIT_FAILED
+
+
+@dataclass(frozen=True)
+class Demonstrated:
+    """How a demonstration went."""
+
+    records: tuple[HandoverRecord, ...]
+    metrics: dict[str, float]
+    files: tuple[Path, ...]
+    lesson: Lesson | None
+
+    @property
+    def ok(self) -> bool:
+        """Whether every object was taken, none dropped, and no limit violated."""
+        wrong = ("dropped", "joint_limit_violations", "velocity_limit_violations")
+        return all(record.taken for record in self.records) and not any(self.metrics[name] for name in wrong)
+
+
+def demonstrate(
+    request: DemoRequest,
+    console: Console,
+    interrupt: Interrupt,
+    folder: Path,
+    objects: tuple[str, ...],
+    plan: dict[str, NodeLaunch],
+) -> Demonstrated:
+    """Start the graph, calibrate, learn and hand over as asked, and stop it.
+
+    Raises:
+        InterruptedByOperatorError: Ctrl-C.
+        HandoverError: A node ended, or the graph was not ready in time.
+    """
     began = time.monotonic()
-    interrupt = Interrupt(stop)
     files: list[Path] = []
     with CellProcesses(folder / "log") as processes:
         console.print(f"starting {len(plan)} nodes ...")
         for launch in plan.values():
             processes.start(launch)
-        try:
-            with operating(interrupt, lambda: check_alive(processes)) as operator:
-                operator.wait_ready(tuple(plan), READY_LIMIT)
-                ready = time.monotonic() - began
-                console.print(f"the graph is ready after {ready:.1f} s")
-                metrics: dict[str, float] = {"ready_s": ready}
-                if request.calibrate:
-                    profile, figures = calibrate_person(request.person, operator, console, wait_simulated)
-                    metrics |= figures
-                    files.append(folder / PROFILES / f"{profile.profile_id}.json")
-                lesson = None
-                if request.learn:
-                    names = (request.person, request.robot, objects)
-                    lesson = Lesson(operator, console, *names, request.learn)
-                    records = list(
-                        lesson.run(
-                            request.handovers,
-                            lambda number, name, goal: hand_over(number, name, goal, request, operator, console),
-                        )
+        with operating(interrupt, lambda: check_alive(processes)) as operator:
+            operator.wait_ready(tuple(plan), READY_LIMIT)
+            ready = time.monotonic() - began
+            console.print(f"the graph is ready after {ready:.1f} s")
+            metrics: dict[str, float] = {"ready_s": ready}
+            if request.calibrate:
+                profile, figures = calibrate_person(request.person, operator, console, wait_simulated)
+                metrics |= figures
+                files.append(folder / PROFILES / f"{profile.profile_id}.json")
+            lesson = None
+            if request.learn:
+                names = (request.person, request.robot, objects)
+                lesson = Lesson(operator, console, *names, request.learn)
+                records = list(
+                    lesson.run(
+                        request.handovers,
+                        lambda number, name, goal: hand_over(number, name, goal, request, operator, console),
                     )
-                    metrics |= lesson.metrics()
-                else:
-                    records = list(hand_over_all(request, objects, operator, console))
-                metrics |= measured(operator, records)
-        except InterruptedByOperatorError:
-            console.print("interrupted; stopping the nodes ...")
-            return EXIT_INTERRUPTED
+                )
+                metrics |= lesson.metrics()
+            else:
+                records = list(hand_over_all(request, objects, operator, console))
+            metrics |= measured(operator, records)
     files += dict.fromkeys(picture for record in records for picture in record.pictures)
-    files.append(draw_phases(records, folder / "phases.png"))
-    if lesson is not None:
-        console.print(learning_table(lesson.steps))
-        files.append(draw_learning(lesson.steps, lesson.first_cost, folder / "learning.png"))
-    ok = all(record.taken for record in records) and not any(
-        metrics[name] for name in ("dropped", "joint_limit_violations", "velocity_limit_violations")
-    )
-    report(request, console, folder, records, metrics, files, ok, () if lesson is None else tuple(lesson.steps))
-    return 0 if ok else EXIT_FAILED
+    return Demonstrated(tuple(records), metrics, tuple(files), lesson)
 
 
 def hand_over_all(
@@ -295,7 +324,7 @@ def median(values: Iterable[float]) -> float:
     return statistics.median(finite) if finite else math.nan
 
 
-def measured(operator: Operator, records: list[HandoverRecord]) -> dict[str, float]:
+def measured(operator: Operator, records: Sequence[HandoverRecord]) -> dict[str, float]:
     """Return the metrics of a demonstration."""
     truth = operator.truth
     mocap, metrics = operator.diagnostics.get("mocap_node", {}), {}
@@ -325,22 +354,18 @@ def measured(operator: Operator, records: list[HandoverRecord]) -> dict[str, flo
     }
 
 
-def report(
-    request: DemoRequest,
-    console: Console,
-    folder: Path,
-    records: list[HandoverRecord],
-    metrics: dict[str, float],
-    files: list[Path],
-    ok: bool,
-    learning: tuple[LearningStep, ...],
-) -> None:
-    """Print the table and the numbers, and write the JSON."""
+def tell(request: DemoRequest, console: Console, folder: Path, shown: Demonstrated) -> None:
+    """Print the tables and the numbers, draw, and write the JSON."""
+    files = [*shown.files, draw_phases(shown.records, folder / "phases.png")]
+    lesson = shown.lesson
+    if lesson is not None:
+        console.print(learning_table(lesson.steps))
+        files.append(draw_learning(lesson.steps, lesson.first_cost, folder / "learning.png"))
     console.print()
-    console.print(handover_table(records))
-    console.print(phase_table(records))
+    console.print(handover_table(shown.records))
+    console.print(phase_table(shown.records))
     numbers = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for key, value in metrics.items():
+    for key, value in shown.metrics.items():
         numbers.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
     console.print(numbers)
     console.print(f"everything is in {folder}", highlight=False, soft_wrap=True)
@@ -354,11 +379,19 @@ def report(
             "message": record.message,
             "phases_s": dict(record.phases),
         }
-        for record in records
+        for record in shown.records
     ]
+    if request.record:
+        files.append(folder / BAG)
     for target in filter(None, (folder / "demo.json", request.json_file)):
-        more = {"details": phases, "learning": [step.document() for step in learning], "folder": str(folder)}
-        write_json(target, "demo", ok, request.seed, metrics, files=files, **more)
+        steps = [] if lesson is None else [step.document() for step in lesson.steps]
+        more = {"details": phases, "learning": steps, "folder": str(folder)}
+        write_json(target, "demo", shown.ok, request.seed, shown.metrics, files=files, **more)
+
+
+def recorder_launch(folder: Path) -> NodeLaunch:
+    """Return how to start the recorder of a session."""
+    return NodeLaunch(RECORDER, {"bag": str(folder / BAG)}, config_directory() / f"{RECORDER}.yaml")
 
 
 def run_up(request: UpRequest, console: Console, stop: threading.Event) -> int:
@@ -369,16 +402,24 @@ def run_up(request: UpRequest, console: Console, stop: threading.Event) -> int:
     config_file("robots", request.robot)
     folder = output_folder(request.out, "up")
     plan = launches(request.nodes, request.person, request.robot, request.scene, request.seed, request.speed, folder)
+    if request.record:
+        plan = {RECORDER: recorder_launch(folder), **plan}
     began = time.monotonic()
-    with CellProcesses(folder / "log") as processes:
+    given = parameters_of(plan["preference_node"]).get("profile_directory") if "preference_node" in plan else ""
+    profiles = Path(str(given)).expanduser() if given else default_directory()
+    session = Session.begin(folder, "up", vars(request), list(plan.values()), profiles)
+    with keeping(session) as kept, CellProcesses(folder / "log") as processes:
         for launch in plan.values():
             processes.start(launch)
         try:
             with operating(Interrupt(stop), lambda: check_alive(processes)) as operator:
-                operator.wait_ready(request.nodes, READY_LIMIT)
+                operator.wait_ready(tuple(plan), READY_LIMIT)
         except InterruptedByOperatorError:
+            kept.outcome = INTERRUPTED
             return 0
-        console.print(f"the cell is ready after {time.monotonic() - began:.1f} s; logs in {folder / 'log'}")
+        kept.metrics = {"ready_s": time.monotonic() - began}
+        console.print(f"the cell is ready after {kept.metrics['ready_s']:.1f} s; everything is in {folder}",
+                      highlight=False, soft_wrap=True)  # fmt: skip
         console.print(
             "hand something over:  ros2 action send_goal /handover/execute handover_msgs/action/ExecuteHandover"
             ' "{object_name: mug}" --feedback',
@@ -394,4 +435,5 @@ def run_up(request: UpRequest, console: Console, stop: threading.Event) -> int:
                     highlight=False,
                 )
         console.print("stopping ...")
+        kept.outcome = OK
     return 0

@@ -70,6 +70,7 @@ class HandoverNode(Node):
         self.parameters = ParameterTable(self, parameters)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.last_problem = ""  # for /diagnostics
+        self.exit_status = 0  # of the process, when the node ends by itself
         self._heartbeat_state = Heartbeat.STARTING
         self._heartbeat_summary = "starting"
         self._heartbeat_publisher = self.create_publisher(Heartbeat, "cell/heartbeat", SENSOR_PUBLISHER)
@@ -307,7 +308,7 @@ def run_node(factory: Callable[[], HandoverNode], arguments: list[str] | None = 
     if crashed:
         sys.excepthook(type(crashed[0]), crashed[0], crashed[0].__traceback__)
         return EXIT_CRASHED
-    return 0
+    return node.exit_status
 
 
 def main_of(factory: Callable[[], HandoverNode]) -> Callable[[], None]:
