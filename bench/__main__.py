@@ -11,14 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bench import calibration, inverse_kinematics, learning_loop, planning, preferences, tracking
+from bench import calibration, inverse_kinematics, learning_loop, planning, preferences, soak, tracking
 from bench.bench_simulation import factor
 from bench.peers import peer
-from handover_ros.cell.report import write_json
+from handover_ros.cell.report import output_folder, write_json
 from handover_ros.errors import HandoverError
 from handover_ros.sim.options import SimulationOptions
 
-PARTS = ("tracking", "calibration", "simulation", "ik", "planning", "preferences", "learning")
+PARTS = ("tracking", "calibration", "simulation", "ik", "planning", "preferences", "learning", "soak")
 # What the design asks for: metric, relation, value.
 REACH = {
     "ukf_speed_over_biorbd": (">=", 1.0),
@@ -43,6 +43,10 @@ REACH = {
     "learning_active_value_cost_over_truth": ("<=", 1.10),
     "learning_active_value_cost_over_truth_of_all": ("<=", 1.10),
     "mutual_information_speedup": (">=", 1000.0),
+    "soak_handovers": (">=", 100.0),
+    "frames_lost": ("<=", 0.0),
+    "latency_p99_ms": ("<=", 5.0),
+    "soak_growth_max_mb_per_h": ("<=", 5.0),
 }
 AGAINST_PEER = {"ukf_rmse_deg": "biorbd_rmse_deg", "ukf_rmse_deg_missing10": "biorbd_rmse_deg_missing10"}
 EXIT_BAD_INPUT = 2
@@ -63,7 +67,7 @@ def verdict(name: str, metrics: dict[str, float]) -> tuple[str, str]:
 
 
 def bench(
-    part: Annotated[str, typer.Argument(help=f"One of {', '.join(PARTS)}, or all.")] = "all",
+    part: Annotated[str, typer.Argument(help=f"One of {', '.join(PARTS)}, or all (but soak).")] = "all",
     quick: Annotated[bool, typer.Option("--quick", help="Fewer frames, people and rounds.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of people, motions and noise.")] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")] = None,
@@ -95,6 +99,11 @@ def bench(
     if part in ("learning", "all"):
         console.print("learning from tracking ...")
         metrics |= learning_loop.measure(seed, quick)
+    if part == "soak":  # half an hour: only when it is asked for
+        console.print("handovers one after the other, in the whole graph ...")
+        folder = output_folder(out, "soak")
+        metrics |= soak.soak(2.0 if quick else 30.0, 5 if quick else 100, seed, folder, console)
+        console.print(f"everything is in {folder}", highlight=False, soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("metric", "value", "to reach", "reached"):
         table.add_column(heading, justify="right" if heading == "value" else "left")

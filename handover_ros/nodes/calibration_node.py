@@ -71,6 +71,8 @@ PARAMETERS = (
 class CalibrationNode(HandoverNode):
     """Serves ``calibration/...``; publishes ``calibration/progress`` and ``calibration/active_profile``."""
 
+    niceness = 10
+
     def __init__(self) -> None:
         super().__init__("calibration_node", PARAMETERS)
         if self.parameters["marker_set"]:

@@ -19,7 +19,8 @@ from handover_ros.mocap.sources import MarkerSample, RecordingSource
 from handover_ros.nodes.convert import numpy_array, seconds_from_stamp
 from handover_ros.nodes.convert_human import fill_marker_frame, marker_set_message
 from handover_ros.nodes.parameters import ParameterSpec
-from handover_ros.nodes.runtime import LATCHED, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
+from handover_ros.nodes.runtime import LATCHED, RECORDER, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
+from handover_ros.nodes.scheduling import PRIORITY, come_first
 from handover_ros.nodes.streams import StreamReader
 from handover_ros.objects.scene import load_scene
 from handover_ros.skeleton.torso import track_recording
@@ -52,6 +53,7 @@ PARAMETERS = (
     ParameterSpec("max_acceleration", 50.0, "[m/s^2] greatest acceleration of a marker", 1.0, 1000.0),
     ParameterSpec("max_speed", 4.0, "[m/s] greatest speed of a marker", 0.1, 50.0),
     ParameterSpec("confirm_frames", 4, "frames until a marker is believed at a new place", 1, 1000),
+    PRIORITY,
 )
 
 
@@ -88,10 +90,11 @@ class MocapNode(HandoverNode):
         if parameters["source"] == "recording":
             self.open_recording()
         else:
-            # Reliable on both sides: a frame is only lost when the node falls 10 frames behind.
-            self.stream = StreamReader(self, MarkerFrame, "sim/markers", self.on_source_frame, SENSOR_PUBLISHER)
+            # Reliable on both sides and deep: a machine that is busy for a moment costs no frame.
+            self.stream = StreamReader(self, MarkerFrame, "sim/markers", self.on_source_frame, RECORDER)
             self.create_subscription(MarkerSet, "sim/marker_set", self.on_source_set, LATCHED)
             self.degraded("waiting for sim/marker_set")
+        self.scheduling = come_first(parameters["realtime_priority"])
 
     def on_stop(self) -> None:
         """End the stream's thread."""
@@ -269,6 +272,7 @@ class MocapNode(HandoverNode):
             "last_problem": self.last_problem,
             "finished": finished,
             "torso_residual_mm": 1e3 * self.torso_residual,
+            "scheduling": self.scheduling,
         }
         if finished:
             return True, "recording played to its end", values

@@ -94,6 +94,8 @@ SETTINGS = (
 class PlannerNode(HandoverNode):
     """Serves ``planner/plan_handover`` and ``planner/plan_motion``; publishes ``planner/plan``, ``planner/visual``."""
 
+    niceness = 10
+
     def __init__(self) -> None:
         super().__init__("planner_node", PARAMETERS)
         self.degraded("loading the robot")

@@ -15,10 +15,13 @@ from handover_ros.nodes.convert import numpy_array, seconds_from_stamp, transfor
 from handover_ros.nodes.convert_belief import preference_from_message
 from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, monotonic
+from handover_ros.nodes.streams import NewestReader
 from handover_ros.planning import CellSnapshot, TrackedPerson
 from handover_ros.robot import RobotModel
 from handover_ros.skeleton.profile import Profile
 from handover_ros.skeleton.stillness import Stillness
+
+LOOK_PERIOD = 0.03  # [s] of wall time between two looks at the cell
 
 
 class CellView:
@@ -43,10 +46,11 @@ class CellView:
         self.belief: tuple[str, Preference] | None = None  # whose, and what
         self.gripping: frozenset[str] = frozenset()
         self.last_problem = ""
-        node.create_subscription(JointState, "robot/joint_states", self.on_joints, SENSOR_CONSUMER)
-        node.create_subscription(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
-        node.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
-        node.create_subscription(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
+        newest = NewestReader(node, LOOK_PERIOD)
+        newest.add(JointState, "robot/joint_states", self.on_joints, SENSOR_CONSUMER)
+        newest.add(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
+        newest.add(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
+        newest.add(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
         node.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
         node.create_subscription(BeliefSummary, "preferences/belief", self.on_belief, LATCHED)
 

@@ -67,6 +67,8 @@ PARAMETERS = (
 class PreferenceNode(HandoverNode):
     """Serves ``preferences/...``; publishes ``preferences/belief``, latched."""
 
+    niceness = 10
+
     def __init__(self) -> None:
         super().__init__("preference_node", PARAMETERS)
         self.degraded("loading the robot")

@@ -49,6 +49,8 @@ class Recorded:
 class RecorderNode(HandoverNode):
     """Writes a bag; latched topics and message definitions are in it."""
 
+    niceness = 5
+
     def __init__(self) -> None:
         super().__init__("recorder_node", PARAMETERS)
         given = self.parameters["bag"]

@@ -31,6 +31,7 @@ HEARTBEAT_PERIOD = 0.2  # [s] wall time
 DIAGNOSTICS_PERIOD = 1.0  # [s] wall time, REP-107
 DISCOVERY_LIMIT = 5.0  # [s] of wall time a service may take to be discovered
 POLL_PERIOD = 0.1  # [s] of wall time between two looks
+SWITCH_INTERVAL = 0.001  # [s] a thread may hold the interpreter while a stream's thread waits for it
 STOP_LIMIT = 4.0  # [s] of wall time a node may take to end; an operator waits five
 EXIT_BAD_INPUT = 2
 EXIT_CRASHED = 1
@@ -55,7 +56,8 @@ class HandoverNode(Node):
     """Base of the nodes: checked parameters, a heartbeat and diagnostics.
 
     A subclass creates its publishers, subscriptions and services in its constructor and calls ``ready()`` last.
-    ``diagnose`` and ``on_stop`` may be overridden.
+    ``diagnose`` and ``on_stop`` may be overridden. A subclass whose work can wait sets ``niceness``, so that on a busy
+    machine the streams come first.
 
     Args:
         name: Node name, which is also the executable's name.
@@ -65,7 +67,10 @@ class HandoverNode(Node):
         BadRequestError: A parameter is unknown, of the wrong type or out of range.
     """
 
+    niceness = 0
+
     def __init__(self, name: str, parameters: tuple[ParameterSpec, ...] = (), **node_arguments: Any) -> None:
+        os.nice(self.niceness)
         super().__init__(name, **node_arguments)
         self.parameters = ParameterTable(self, parameters)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -277,6 +282,7 @@ def run_node(factory: Callable[[], HandoverNode], arguments: list[str] | None = 
         print(f"error: {error}", file=sys.stderr, flush=True)
         rclpy.try_shutdown()
         return EXIT_BAD_INPUT
+    sys.setswitchinterval(SWITCH_INTERVAL)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     crashed: list[BaseException] = []

@@ -28,6 +28,7 @@ from handover_ros.nodes.convert_human import (
 from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import LATCHED, RECORDER, SENSOR_PUBLISHER, HandoverNode, Worker, main_of, monotonic
+from handover_ros.nodes.scheduling import PRIORITY, come_first
 from handover_ros.nodes.streams import StreamReader
 from handover_ros.skeleton.profile import Profile, read_profile
 from handover_ros.skeleton.torso import TorsoTracker, TrackingState
@@ -49,6 +50,7 @@ PARAMETERS = (
     ParameterSpec("profile_file", "", "profile to track with; empty: the one on calibration/active_profile"),
     ParameterSpec("marker_noise", DEFAULTS.marker_noise, "[m] of a marker about the skeleton, one axis", 1e-5, 0.05),
     ParameterSpec("limits", DEFAULTS.limits, "whether the profile's joint limits bound the estimate"),
+    PRIORITY,
 )
 
 
@@ -125,6 +127,7 @@ class SkeletonNode(HandoverNode):
         if not file:
             self.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
         self.degraded("waiting for mocap/marker_set")
+        self.scheduling = come_first(self.parameters["realtime_priority"])
 
     def on_stop(self) -> None:
         """End the stream's thread."""
@@ -306,6 +309,7 @@ class SkeletonNode(HandoverNode):
             "residual_mm": 1e3 * self.residual,
             "mean_residual_mm": 1e3 * tracker.mean_residual if tracker else float("nan"),
             "confidence": self.confidence,
+            "scheduling": self.scheduling,
         }
         if person is not None:
             values |= {
