@@ -59,6 +59,7 @@ setup(
         "toppra>=0.6",
         "rosbags>=0.10",
         "mcap>=1.2,<2",
+        "zstandard>=0.21",
         "pillow>=10.0",
         "threadpoolctl>=3.2",
         "joblib>=1.3",

@@ -1,4 +1,4 @@
-"""The whole cell: ``ros2 launch handover_ros cell.launch.py [simulated:=false]``."""
+"""The whole cell, recorded: ``ros2 launch handover_ros cell.launch.py [simulated:=false] [record:=false]``."""
 
 from pathlib import Path
 
@@ -45,6 +45,19 @@ def start_nodes(context) -> list[Node]:
                 sigkill_timeout=STOP_SECONDS,
             )
         )
+    recorder = [str(config / "recorder_node.yaml")] if (config / "recorder_node.yaml").is_file() else []
+    actions.append(
+        Node(
+            package="handover_ros",
+            executable="recorder_node",
+            name="recorder_node",
+            parameters=[*recorder, {"bag": ParameterValue(LaunchConfiguration("bag"), value_type=str)}],
+            output="screen",
+            condition=IfCondition(LaunchConfiguration("record")),
+            sigterm_timeout=STOP_SECONDS,
+            sigkill_timeout=STOP_SECONDS,
+        )
+    )
     return actions
 
 
@@ -59,6 +72,10 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "config", default_value=str(share / "config"), description="Folder of the nodes' parameter files."
+            ),
+            DeclareLaunchArgument("record", default_value="true", description="Record everything said in the graph."),
+            DeclareLaunchArgument(
+                "bag", default_value="", description="Folder of the bag; empty: handover_out/bag-<date>-<time>."
             ),
             DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn or error."),
             SetEnvironmentVariable(

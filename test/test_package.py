@@ -15,6 +15,8 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 from bootstrap.requirements import canonical, declared_requirements, locked_versions
+from handover_ros.bags.replay import INPUTS
+from handover_ros.cell.processes import EXTRA_NODES, NODES, RECORDER
 
 SOURCE = Path(__file__).resolve().parent.parent
 PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
@@ -155,25 +157,48 @@ def test_every_node_is_an_executable_of_its_own_name():
         assert "main" in names
 
 
+def launch_constant(file, name):
+    """Return a constant of a launch file, which cannot be imported where ROS has no ``launch``."""
+    tree = ast.parse((SOURCE / "launch" / file).read_text())
+    values = [node.value for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == name]
+    return ast.literal_eval(values[0])
+
+
 def test_launch_file_starts_every_node():
-    tree = ast.parse((SOURCE / "launch" / "cell.launch.py").read_text())
-    names = [node for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == "NODES"]
-    assert list(ast.literal_eval(names[0].value)) == setup_constant("NODES")
+    assert launch_constant("cell.launch.py", "NODES") == NODES
+    assert setup_constant("NODES") == [*NODES, *EXTRA_NODES]
+    text = (SOURCE / "launch" / "cell.launch.py").read_text()
+    assert f'executable="{RECORDER}"' in text, "it records, as ./handover up does"
 
 
-def test_launch_description_can_be_made(monkeypatch):
+def test_launch_file_of_a_replay_starts_what_a_bag_can_drive():
+    assert launch_constant("replay.launch.py", "DRIVABLE") == tuple(INPUTS)
+
+
+def test_parameter_files_belong_to_nodes():
+    files = {path.stem for path in (SOURCE / "config").glob("*_node.yaml")}
+    assert files == set(setup_constant("NODES"))
+
+
+@pytest.mark.parametrize(("file", "count"), [("cell", len(NODES) + 1), ("replay", 4), ("hardware", 0)])
+def test_launch_description_can_be_made(monkeypatch, file, count):
     """Where ROS brings ``launch`` (apt), the description is built for real."""
     pytest.importorskip("launch_ros", reason="launch_ros is not on PyPI")
-    specification = importlib.util.spec_from_file_location("cell_launch", SOURCE / "launch" / "cell.launch.py")
+    specification = importlib.util.spec_from_file_location(f"{file}_launch", SOURCE / "launch" / f"{file}.launch.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     monkeypatch.setattr(module, "get_package_share_directory", lambda _: str(SOURCE))
+    from launch.actions import DeclareLaunchArgument
+
     from launch import LaunchContext
 
     context = LaunchContext()
-    for action in module.generate_launch_description().entities[:3]:
-        action.visit(context)
-    assert len(module.start_nodes(context)) == len(setup_constant("NODES"))
+    context.launch_configurations["bag"] = "/a/bag"
+    for action in module.generate_launch_description().entities:
+        if isinstance(action, DeclareLaunchArgument):
+            action.visit(context)
+    if count:
+        assert len(module.start_nodes(context)) == count
 
 
 # A plain colcon build.

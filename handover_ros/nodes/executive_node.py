@@ -121,6 +121,8 @@ class ExecutiveNode(HandoverNode):
         self.run: Run | None = None
         self.numbers = itertools.count(1)
         self.handovers, self.taken = 0, 0
+        self.limited: dict[str, str] = {}  # node -> what limits it, as it says itself
+        self.said = CellState(phase="idle")
         self.last_time = 0.0
         self.stopped_until = float("-inf")
         self.last_enable = 0.0
@@ -154,8 +156,18 @@ class ExecutiveNode(HandoverNode):
     # What is observed
 
     def on_heartbeat(self, message: Heartbeat) -> None:
-        """Note a sign of life."""
+        """Note a sign of life, and how the node is."""
         self.liveness.beat(message.node, monotonic())
+        limited = "" if message.state == Heartbeat.READY else message.summary or "starting"
+        if limited != self.limited.get(message.node, ""):
+            self.limited[message.node] = limited
+            self.publish_state(self.said.phase, self.said.message, self.run)
+
+    def problems(self) -> list[str]:
+        """Return what is wrong or limited in the cell, a sentence a node."""
+        silent = {node: "no heartbeat" for node in self.liveness.missing(monotonic())}
+        limited = {node: words for node, words in self.limited.items() if words and node not in silent}
+        return [f"{node}: {words}" for node, words in sorted({**limited, **silent}.items())]
 
     def trouble(self, run: Run, now: float, wall: float) -> tuple[str, ErrorCode]:
         """Return why the handover cannot go on, if so: a node that does not beat, old data, a clock that jumped."""
@@ -400,12 +412,16 @@ class ExecutiveNode(HandoverNode):
         state = CellState(phase=phase, message=message, handovers=self.handovers, taken=self.taken)
         state.header.stamp = self.get_clock().now().to_msg()
         state.lost_nodes = list(self.liveness.lost(monotonic()))
+        state.problems = self.problems()
         if run is not None:
             state.handover_id, state.object_name = run.handover_id, run.protocol.object_name
+        self.said = state
         self.state_publisher.publish(state)
 
     def diagnose(self) -> tuple[bool, str, dict[str, object]]:
-        """Report the phase and who is missing."""
+        """Report the phase and who is missing; tell the cell's state anew when somebody fell silent or came back."""
+        if self.problems() != list(self.said.problems):
+            self.publish_state(self.said.phase, self.said.message, self.run)
         missing = self.liveness.missing(monotonic())
         phase = self.run.protocol.phase.value if self.run else "idle"
         line = f"missing: {', '.join(missing)}" if missing else phase

@@ -274,6 +274,8 @@ class MocapNode(HandoverNode):
             "torso_residual_mm": 1e3 * self.torso_residual,
             "scheduling": self.scheduling,
         }
+        if self.stream is not None:
+            values |= {**self.stream.latencies.report(now), "rate_hz": rate}
         if finished:
             return True, "recording played to its end", values
         if silence > SILENT_AFTER:

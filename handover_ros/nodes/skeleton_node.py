@@ -310,6 +310,7 @@ class SkeletonNode(HandoverNode):
             "mean_residual_mm": 1e3 * tracker.mean_residual if tracker else float("nan"),
             "confidence": self.confidence,
             "scheduling": self.scheduling,
+            **self.stream.latencies.report(monotonic()),
         }
         if person is not None:
             values |= {

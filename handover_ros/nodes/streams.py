@@ -7,6 +7,7 @@ several times the work on a marker frame. Waiting for the one subscription costs
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+
+from handover_ros.cell.latency import Latencies
 
 STOP_TIMEOUT = 1.0  # [s]
 WAIT = 200_000_000  # [ns] longest wait, so that a stop is noticed
@@ -42,6 +45,9 @@ class StreamReader:
     The function runs under ``lock``; other callbacks take it while they change what the function uses. An exception
     in the function ends the process as one in any callback does.
 
+    Attributes:
+        latencies: From a message's arrival to the end of the work on it.
+
     Args:
         node: Owner of the subscription.
         message_type: Type of the messages.
@@ -54,6 +60,7 @@ class StreamReader:
         self, node: Node, message_type: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile
     ) -> None:
         self.lock = threading.Lock()
+        self.latencies = Latencies()
         self._node = node
         self._callback = callback
         self._context = node.context
@@ -90,6 +97,7 @@ class StreamReader:
                     while (taken := handle.take_message(self._message_type, False)) is not None:
                         with self.lock:
                             self._callback(taken[0])
+                        self.latencies.note((time.time_ns() - taken[1]["received_timestamp"]) * 1e-9)
                         if self._stop.is_set():
                             return
         except BaseException as error:
