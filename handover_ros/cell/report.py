@@ -13,19 +13,10 @@ import matplotlib
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from handover_ros.colours import OTHER_COLOUR, PHASE_COLOURS
 from handover_ros.errors import BadRequestError
 from handover_ros.files import write_whole
 from handover_ros.provenance import versions
-
-PHASE_COLOURS = {
-    "planning": "#9aa0a6",
-    "fetching": "#4c78a8",
-    "presenting": "#72b7b2",
-    "waiting": "#eeca3b",
-    "releasing": "#f58518",
-    "retracting": "#54a24b",
-    "returning": "#e45756",
-}
 
 
 @dataclass(frozen=True)
@@ -155,7 +146,7 @@ def draw_phases(records: Sequence[HandoverRecord], path: Path) -> Path:
     for row, record in enumerate(records):
         start = 0.0
         for name, seconds in record.phases:
-            axes.barh(row, seconds, left=start, color=PHASE_COLOURS.get(name, "#bab0ac"), edgecolor="white")
+            axes.barh(row, seconds, left=start, color=PHASE_COLOURS.get(name, OTHER_COLOUR), edgecolor="white")
             if seconds > 0.9:
                 axes.text(start + seconds / 2, row, f"{seconds:.1f}", ha="center", va="center", fontsize=8)
             start += seconds
@@ -166,7 +157,7 @@ def draw_phases(records: Sequence[HandoverRecord], path: Path) -> Path:
     axes.margins(x=0.08)
     axes.spines[["top", "right"]].set_visible(False)
     used = dict.fromkeys(name for record in records for name, _ in record.phases)
-    handles = [pyplot.Rectangle((0, 0), 1, 1, color=PHASE_COLOURS.get(name, "#bab0ac")) for name in used]
+    handles = [pyplot.Rectangle((0, 0), 1, 1, color=PHASE_COLOURS.get(name, OTHER_COLOUR)) for name in used]
     axes.legend(handles, list(used), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, frameon=False, fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
