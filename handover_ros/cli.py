@@ -33,6 +33,8 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+bag_app = typer.Typer(name="bag", help="Look at a bag, or save what is left of one.", no_args_is_help=True)
+app.add_typer(bag_app)
 console = Console()
 
 JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
@@ -345,6 +347,30 @@ def replay(
         out=out,
     )
     raise typer.Exit(run_replay(request, console, interrupted_by_signals()))
+
+
+BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag or of a session, or a file.")]
+
+
+@bag_app.command("info")
+def bag_info(bag: BagArgument, json_file: JsonOption = None, out: OutOption = None) -> None:
+    """Say what is in a bag and what happened in it, with a picture of its timeline."""
+    from handover_ros.cell.bag_command import BagInfoRequest, run_bag_info
+
+    raise typer.Exit(run_bag_info(BagInfoRequest(bag=bag, json_file=json_file, out=out), console))
+
+
+@bag_app.command("rescue")
+def bag_rescue(
+    bag: BagArgument,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Of the new bag; default: BAG_rescued.")
+    ] = None,
+) -> None:
+    """Make a whole bag of one that was cut short or whose recorder was killed."""
+    from handover_ros.cell.bag_command import BagRescueRequest, run_bag_rescue
+
+    raise typer.Exit(run_bag_rescue(BagRescueRequest(bag=bag, out=out), console))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from handover_ros.arm.model import JOINT_NAMES, Arm, Side, arm_of
@@ -124,7 +125,7 @@ def learning_table(steps: Sequence[LearningStep]) -> Table:
     for heading in ("#", "object", "grasp"):
         table.add_column(heading)
     for heading in ("told [nat]", "entropy [nat]", "taken at cost", "plan's true cost"):
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     for step in steps:
         table.add_row(
             str(step.number),

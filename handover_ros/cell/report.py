@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from handover_ros.colours import OTHER_COLOUR, PHASE_COLOURS
@@ -105,11 +106,11 @@ def finite(value: float) -> float | int | None:
 
 def handover_table(records: Sequence[HandoverRecord]) -> Table:
     """Return the table of how the handovers ended, for a terminal of 80 columns."""
-    table = Table(title="Handovers", title_justify="left", box=SIMPLE_HEAD)
+    table = Table(title="Handovers", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("#", "object", "scheme", "arm", "taken", "placed"):
         table.add_column(heading)
-    table.add_column("duration [s]", justify="right")
-    table.add_column("planning [s wall]", justify="right")
+    table.add_column(escape("duration [s]"), justify="right")
+    table.add_column(escape("planning [s wall]"), justify="right")
     for record in records:
         table.add_row(
             str(record.number),
@@ -126,7 +127,7 @@ def handover_table(records: Sequence[HandoverRecord]) -> Table:
 
 def phase_table(records: Sequence[HandoverRecord]) -> Table:
     """Return the table of how long each phase took, in seconds of ROS time, for a terminal of 80 columns."""
-    table = Table(title="Phases [s]", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=escape("Phases [s]"), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("#")
     names = list(dict.fromkeys(name for record in records for name, _ in record.phases))
     for name in names:
