@@ -37,8 +37,8 @@ class BagWriter:
         self.counts: Counter[str] = Counter()
         self.bytes = 0
         self._connections: dict[tuple[str, str], Connection] = {}
-        self._writer = Writer(path, version=VERSION, storage_plugin=StoragePlugin[storage.upper()])
         try:
+            self._writer = Writer(path, version=VERSION, storage_plugin=StoragePlugin[storage.upper()])
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer.open()
         except (WriterError, OSError) as error:
