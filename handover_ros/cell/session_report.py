@@ -80,7 +80,7 @@ def overview(session: StoredSession) -> str:
     """Return the table of what was run and when."""
     document = session.document
     arguments = ", ".join(
-        f"{name} {shown(value)}" for name, value in document.arguments.items() if told_argument(value)
+        f"{name} {shown(value)}" for name, value in document.arguments.items() if told_argument(name, value)
     )
     rows = [
         ("command", escaped(document.command)),
