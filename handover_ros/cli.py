@@ -349,6 +349,19 @@ def replay(
     raise typer.Exit(run_replay(request, console, interrupted_by_signals()))
 
 
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="SESSION", help="Folder that demo or up wrote.")],
+    second: Annotated[Path, typer.Argument(metavar="SESSION", help="Another one.")],
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Hold two sessions side by side: versions, parameters, handovers, beliefs, numbers, and a picture of both."""
+    from handover_ros.cell.compare_command import CompareRequest, run_compare
+
+    raise typer.Exit(run_compare(CompareRequest(first=first, second=second, json_file=json_file, out=out), console))
+
+
 BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag or of a session, or a file.")]
 
 

@@ -33,9 +33,9 @@ def draw_timeline(timeline: Timeline, path: Path) -> Path:
         len(panels), 1, figsize=(WIDTH, 1.0 + sum(heights)), height_ratios=heights, sharex=True, squeeze=False,
         layout="constrained",
     )  # fmt: skip
-    for axes, (_, draw) in zip(grid[:, 0], panels, strict=True):
-        draw(axes, timeline)
     span = max(timeline.duration, 1e-3)
+    for axes, (_, draw) in zip(grid[:, 0], panels, strict=True):
+        draw(axes, timeline, span)
     grid[-1, 0].set_xlim(0.0, span)
     grid[-1, 0].set_xlabel("time since the first message [s]", fontsize=9)
     figure.suptitle(headline(timeline), fontsize=10, x=0.01, ha="left")
@@ -45,7 +45,7 @@ def draw_timeline(timeline: Timeline, path: Path) -> Path:
     return path
 
 
-Draw = Callable[[Any, Timeline], None]
+Draw = Callable[[Any, Timeline, float], None]  # axes, what happened, length of the time axis [s]
 
 
 def panels_of(timeline: Timeline) -> list[tuple[float, Draw]]:
@@ -72,15 +72,8 @@ def headline(timeline: Timeline) -> str:
     return f"{name}{when}: {timeline.duration:.1f} s, {timeline.messages:,} messages{ros}"
 
 
-def draw_handovers(axes: Any, timeline: Timeline, span: float = 0.0) -> None:
-    """Draw the phases of each handover as bars, with object and outcome above.
-
-    Args:
-        axes: Where.
-        timeline: What happened.
-        span: Length of the time axis [s]; 0: the bag's.
-    """
-    span = span or timeline.duration or 1.0
+def draw_handovers(axes: Any, timeline: Timeline, span: float) -> None:
+    """Draw the phases of each handover as bars, with object and outcome above."""
     free = [-np.inf, -np.inf]  # where the text of a row ends
     for handover in timeline.handovers:
         for phase in handover.phases:
@@ -127,7 +120,7 @@ def event_rows(timeline: Timeline) -> list[str]:
     return rows[::-1]
 
 
-def draw_events(axes: Any, timeline: Timeline) -> None:
+def draw_events(axes: Any, timeline: Timeline, span: float) -> None:
     """Draw what the simulation noticed, how objects were taken, and who was active."""
     rows = event_rows(timeline)
     for event in timeline.events:
@@ -142,7 +135,7 @@ def draw_events(axes: Any, timeline: Timeline) -> None:
     for active in timeline.activations:
         if "profile" in rows and (active.profile_id or active is not timeline.activations[0]):
             texts.append((active.time, rows.index("profile"), active.profile_id or "nobody"))
-    write_along(axes, timeline.duration, texts)
+    write_along(axes, span, texts)
     axes.set_yticks(range(len(rows)), rows, fontsize=8)
     axes.set_ylim(-0.7, len(rows) - 0.3)
     name_panel(axes, "events")
@@ -163,8 +156,9 @@ def write_along(axes: Any, span: float, texts: Sequence[tuple[float, int, str]])
         axes.annotate(text, (time, row), place, textcoords="offset points", fontsize=7.5, va="center", ha=align)
 
 
-def draw_belief(axes: Any, timeline: Timeline, colour: str = BELIEF_COLOUR, label: str = "") -> None:
+def draw_belief(axes: Any, timeline: Timeline, span: float, colour: str = BELIEF_COLOUR, label: str = "") -> None:
     """Draw the entropy of the belief, and after which answers it was so; a line for each person."""
+    del span
     beliefs = timeline.beliefs
     people = dict.fromkeys(belief.profile_id for belief in beliefs)
     for style, person in zip(("-", "--", ":", "-.") * (1 + len(people) // 4), people):
@@ -198,9 +192,9 @@ def worst_first(timeline: Timeline) -> list[Trouble]:
     return sorted(timeline.troubles, key=lambda trouble: (trouble.starting, trouble.level != ERROR, trouble.begin))
 
 
-def draw_troubles(axes: Any, timeline: Timeline) -> None:
+def draw_troubles(axes: Any, timeline: Timeline, span: float) -> None:
     """Draw who complained from when to when, and what was said."""
-    rows, span = trouble_rows(timeline), timeline.duration
+    rows = trouble_rows(timeline)
     shown = [trouble for trouble in worst_first(timeline) if trouble.node in rows]
     taken: dict[int, list[tuple[float, float]]] = {}
     for trouble in shown:
@@ -255,15 +249,16 @@ def spoken(timeline: Timeline) -> list[TopicCourse]:
     return sorted(kept, key=lambda topic: topic.name)
 
 
-def draw_rates(axes: Any, timeline: Timeline) -> None:
+def draw_rates(axes: Any, timeline: Timeline, span: float) -> None:
     """Draw a strip for each topic: how many messages came, relative to its busiest times."""
-    topics, span = spoken(timeline), max(timeline.duration, 1e-3)
+    topics = spoken(timeline)
+    del span
     image = rate_image(topics, timeline.bin_width)
     if image.size:
+        extent = (0.0, max(timeline.duration, 1e-3), len(topics) - 0.5, -0.5)
         axes.imshow(
-            image, aspect="auto", interpolation="nearest", extent=(0.0, span, len(topics) - 0.5, -0.5), vmin=0.0,
-            vmax=1.0, cmap=_strip_colours(),
-        )  # fmt: skip
+            image, aspect="auto", interpolation="nearest", extent=extent, vmin=0.0, vmax=1.0, cmap=_strip_colours()
+        )
     for row in range(1, len(topics)):
         axes.axhline(row - 0.5, color="white", linewidth=1.0)
     axes.set_yticks(range(len(topics)), [topic.name for topic in topics], fontsize=7.5)
