@@ -1,22 +1,24 @@
 """Half an hour of handovers in the whole graph, recorded: does anything get lost, grow or slow down?
 
-A calibrated person is tracked with the whole skeleton while the robot hands over one object after the other; the
-numbers come from the bag (arrival times are those of the middleware) and from the kernel's books on each process.
+A calibrated person is tracked with the whole skeleton while the robot hands over one object after the other. A latency
+is the time from the publishing of a frame's markers to that of its state, as the middleware stamps them; memory is from
+the kernel's books on each process.
 """
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
 from rich.console import Console
 
-from handover_ros.bags.reading import BAG, Bag
 from handover_ros.bags.replay import stamp_of
 from handover_ros.cell.processes import NODES, RECORDER, CellProcesses, NodeLaunch, check_alive
 from handover_ros.cell.report import HandoverRecord
@@ -63,10 +65,10 @@ class Stream:
     """Marker frames and the states made of them.
 
     Attributes:
-        seconds: When each state arrived, since the first (n,).
-        latencies: From the arrival of a frame's markers to that of its state [ms] (n,).
-        frames: How many frames the simulator sent between the first and the last state.
-        lost: How many of those have no state.
+        seconds: When each state was published, since the first (n,).
+        latencies: From the publishing of a frame's markers to that of its state [ms] (n,).
+        frames: How many frames the simulator numbered between the first and the last state.
+        lost: How many of those have no state, or were not heard of.
     """
 
     seconds: FloatArray
@@ -75,28 +77,67 @@ class Stream:
     lost: int
 
 
-def read_stream(path: Path) -> Stream:
-    """Return what a bag says about the way from markers to states."""
-    sent: dict[int, int] = {}  # device frame -> arrival [ns]
-    frame_of: dict[int, int] = {}  # stamp of the cleaned frame -> device frame
-    states: dict[int, int] = {}  # stamp -> arrival [ns]
-    with Bag(path) as bag:
-        for topic, arrival, data in bag.read(["/sim/markers", "/mocap/markers", "/human/skeleton_state"]):
-            if topic.name == "/human/skeleton_state":
-                states[stamp_of(data)] = arrival
-            elif topic.name == "/sim/markers":
-                sent[int(bag.decode(topic, data).device_frame)] = arrival
-            else:
-                frame_of[stamp_of(data)] = int(bag.decode(topic, data).device_frame)
-    tracked = {frame_of[stamp]: arrival for stamp, arrival in states.items() if stamp in frame_of}
-    first, last = min(tracked), max(tracked)
-    between = [frame for frame in sent if first <= frame <= last]
-    used = np.array([frame for frame in between if frame in tracked])
-    arrivals = np.array([tracked[frame] for frame in used.tolist()])
-    begins = np.array([sent[frame] for frame in used.tolist()])
-    # Numbers that are not even in the recording were lost on the way to the recorder or never sent.
-    frames = last - first + 1
-    return Stream((arrivals - arrivals[0]) * 1e-9, (arrivals - begins) * 1e-6, frames, frames - len(used))
+class Probe:
+    """Notes when each frame was published on the three topics that it passes; takes no part.
+
+    Args:
+        node: Owner of the subscriptions.
+    """
+
+    def __init__(self, node: Any) -> None:
+        from handover_msgs.msg import MarkerFrame, SkeletonState
+
+        from handover_ros.nodes.runtime import RECORDER as DEEP
+        from handover_ros.nodes.streams import OwnThread
+
+        self.sent: dict[int, int] = {}  # device frame -> published [ns]
+        self.frame_of: dict[int, int] = {}  # stamp of the cleaned frame [ns] -> device frame
+        self.states: dict[int, int] = {}  # stamp [ns] -> published [ns]
+        self.stop = threading.Event()
+        own = OwnThread()
+        self._topics = [
+            (node.create_subscription(kind, topic, print, DEEP, callback_group=own), kind, note)
+            for kind, topic, note in (
+                (MarkerFrame, "sim/markers", self._on_sent),
+                (MarkerFrame, "mocap/markers", self._on_clean),
+                (SkeletonState, "human/skeleton_state", self._on_state),
+            )
+        ]
+
+    def _on_sent(self, data: bytes, published: int) -> None:
+        self.sent[frame_number(data)] = published
+
+    def _on_clean(self, data: bytes, published: int) -> None:
+        self.frame_of[stamp_of(data)] = frame_number(data)
+
+    def _on_state(self, data: bytes, published: int) -> None:
+        self.states[stamp_of(data)] = published
+
+    def run(self) -> None:
+        """Note until told to stop."""
+        while not self.stop.wait(0.05):
+            for subscription, kind, note in self._topics:
+                handle = subscription.handle
+                with handle:
+                    while (taken := handle.take_message(kind, True)) is not None:
+                        note(taken[0], taken[1]["source_timestamp"])
+
+    def stream(self) -> Stream:
+        """Return what was noted."""
+        tracked = {self.frame_of[stamp]: at for stamp, at in self.states.items() if stamp in self.frame_of}
+        first, last = min(tracked), max(tracked)
+        used = np.array([frame for frame in self.sent if frame in tracked])
+        ends = np.array([tracked[frame] for frame in used.tolist()])
+        begins = np.array([self.sent[frame] for frame in used.tolist()])
+        frames = last - first + 1
+        return Stream((ends - ends[0]) * 1e-9, (ends - begins) * 1e-6, frames, frames - len(used))
+
+
+def frame_number(data: bytes) -> int:
+    """Return the device's frame number of a serialized MarkerFrame, which stands behind header and set version."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    behind = -(-(12 + length) // 4) * 4 + 4  # of the text, padded, and the version; counted behind the encapsulation
+    return int(struct.unpack_from("<Q", data, 4 + -(-behind // 8) * 8)[0])
 
 
 def soak(minutes: float, handovers: int, seed: int, folder: Path, console: Console) -> dict[str, float]:
@@ -134,6 +175,9 @@ def soak(minutes: float, handovers: int, seed: int, folder: Path, console: Conso
         with operating(Interrupt(threading.Event()), lambda: check_alive(processes)) as operator:
             operator.wait_ready((RECORDER, *plan), READY_LIMIT)
             calibrate_person(request.person, operator, console, wait_simulated)
+            probe = Probe(operator.node)
+            prober = threading.Thread(target=probe.run, daemon=True)
+            prober.start()
             sampler = threading.Thread(target=memory.run, daemon=True)
             sampler.start()
             began = time.monotonic()
@@ -151,7 +195,9 @@ def soak(minutes: float, handovers: int, seed: int, folder: Path, console: Conso
             spent = time.monotonic() - began
             memory.stop.set()
             sampler.join()
-    stream = read_stream(folder / BAG)
+            probe.stop.set()
+            prober.join()
+    stream = probe.stream()
     growth = memory.growth(WARM_UP)
     draw_soak(stream, memory, records, folder / "soak.png")
     recorded = (folder / "log" / f"{RECORDER}.log").read_text(encoding="utf-8").strip().splitlines()[-1]

@@ -18,7 +18,12 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 ROOM = "handover_ros.nodes"
 FOLDER = REPOSITORY / "handover_ros" / "nodes"
 OPERATOR = "operator"  # the node of ``./handover demo``, beside those of the cell
-OPERATOR_MODULE = "demo"
+REPLAY = "replay"  # that of ``./handover replay``
+#: In which module the nodes are that do not bear its name.
+MODULES: Mapping[str, str] = {OPERATOR: "demo", REPLAY: "replay"}
+#: A recorder and a player handle whatever topics there are: module and function that make such an endpoint.
+EVERY_TOPIC = (("recorder_node", "begin"), ("player", "prepare"))
+EVERY = "*"
 RUNTIME = "runtime"
 
 #: By the function that makes it: kind, and the places of type, name and quality among the arguments.
@@ -119,12 +124,16 @@ def module(name: str) -> Module:
 
 
 def cell_nodes() -> tuple[str, ...]:
-    """Return the nodes that the cell starts, in that order, from ``cell/processes.py``."""
+    """Return the nodes of the cell and those beside it, in the order of ``cell/processes.py``."""
     tree = ast.parse((REPOSITORY / "handover_ros" / "cell" / "processes.py").read_text(encoding="utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "NODES":
-            return tuple(ast.literal_eval(node.value))
-    raise ScanError("handover_ros/cell/processes.py has no NODES")
+    given = {
+        ast.unparse(node.targets[0]): tuple(ast.literal_eval(node.value))
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("NODES", "EXTRA_NODES")
+    }
+    if len(given) < 2:
+        raise ScanError("handover_ros/cell/processes.py has no NODES or no EXTRA_NODES")
+    return (*given["NODES"], *given["EXTRA_NODES"])
 
 
 @cache
@@ -132,12 +141,12 @@ def endpoints(node: str) -> tuple[Endpoint, ...]:
     """Return all that a node publishes, receives, serves, asks, executes and commands, sorted.
 
     Args:
-        node: A node of the cell, or ``operator``.
+        node: A node of the cell, ``operator`` or ``replay``. A topic that only turns up at run time is named ``*``.
 
     Raises:
         ScanError: A call cannot be understood.
     """
-    used = _used(OPERATOR_MODULE if node == OPERATOR else node)
+    used = _used(MODULES.get(node, node))
     wrappers = {name: wrapper for owner, part in used for name, wrapper in _wrappers(module(owner), part).items()}
     found: set[Endpoint] = set()
     for owner, part in used:
@@ -153,7 +162,7 @@ def sites(node: str) -> set[tuple[str, int]]:
     """Return file and line of every call that was looked at for a node."""
     return {
         (module(owner).path.name, call.lineno)
-        for owner, part in _used(OPERATOR_MODULE if node == OPERATOR else node)
+        for owner, part in _used(MODULES.get(node, node))
         for call, called in _calls(module(owner), part)
         if called in MAKERS
     }
@@ -281,6 +290,9 @@ def _endpoints(here: Module, part: str, wrappers: Mapping[str, Wrapper]) -> Iter
             type_place, name_place, quality_place = wrapper.type_place, wrapper.name_place, wrapper.quality_place
         else:
             continue
+        if function is not None and (here.name, function.name) in EVERY_TOPIC and not _is_written_out(call, name_place):
+            yield Endpoint(kind, EVERY, "any", "", False)
+            continue
         if len(call.args) <= max(type_place, name_place, quality_place or 0):
             raise ScanError(f"{here.where(call)}: {called}: give type, name and quality by place, not by keyword")
         usual = all(not isinstance(each, ast.If) for each in here.around(call))
@@ -298,6 +310,11 @@ def _endpoints(here: Module, part: str, wrappers: Mapping[str, Wrapper]) -> Iter
                 quality,
                 always and usual,
             )
+
+
+def _is_written_out(call: ast.Call, name_place: int) -> bool:
+    """Return whether the name of an endpoint is a text in the source."""
+    return isinstance(call.args[name_place], ast.Constant)
 
 
 def _turns(here: Module, call: ast.Call) -> list[dict[str, ast.expr]]:

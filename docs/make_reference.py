@@ -19,7 +19,7 @@ for folder in (REPOSITORY, REPOSITORY / "docs"):
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
 
-from graph_scan import OPERATOR, Endpoint, cell_nodes, endpoints, qualities, summary  # noqa: E402
+from graph_scan import EVERY, OPERATOR, REPLAY, Endpoint, cell_nodes, endpoints, qualities, summary  # noqa: E402
 from interface_files import PACKAGE, PARTS, Interface, Row, interfaces  # noqa: E402
 from sros2_policy import PARAMETER_SERVICES, TYPE_SERVICE, policy  # noqa: E402
 
@@ -119,13 +119,13 @@ def named(ends: Iterable[tuple[str, Endpoint]], with_quality: bool = True) -> st
 
 def all_ends() -> list[tuple[str, Endpoint]]:
     """Return every endpoint of the cell's nodes and of the operator with its node."""
-    return [(node, end) for node in (*cell_nodes(), OPERATOR) for end in endpoints(node)]
+    return [(node, end) for node in (*cell_nodes(), OPERATOR, REPLAY) for end in endpoints(node)]
 
 
 def topic_section() -> str:
     """Return the table of topics."""
     every = all_ends()
-    names = sorted({end.name for _, end in every if end.kind in ("publishes", "receives")})
+    names = sorted({end.name for _, end in every if end.kind in ("publishes", "receives")} - {EVERY})
     rows = []
     for name in names:
         ends = [(node, end) for node, end in every if end.name == name and end.kind in ("publishes", "receives")]
@@ -137,7 +137,8 @@ def topic_section() -> str:
         rows.append((code(name), type_link(types[0]), whose, named(each for each in ends if each not in givers)))
     text = (
         "## Topics\n\nIn parentheses the quality of that end; \\* only for a while or under a parameter. Nodes with "
-        "`use_sim_time` receive `/clock` as well.\n\n"
+        "`use_sim_time` receive `/clock` as well. `recorder_node` receives every topic that somebody publishes, "
+        "`player_node` and `./handover replay` publish those of a bag, with the quality that was recorded.\n\n"
     )
     return text + table(("topic", "type", "published by", "received by"), rows)
 
@@ -186,8 +187,9 @@ def node_section(node: str) -> str:
 
 def operator_section() -> str:
     """Return what the commands of the terminal do in the graph."""
-    text = f"## {OPERATOR}\n\nThe node of `./handover demo`. {summary(OPERATOR)}\n\n"
-    return text + endpoint_list(OPERATOR).rstrip("\n") + "\n"
+    text = f"## {OPERATOR}\n\nThe node of `./handover demo`. {summary(OPERATOR)}\n\n" + endpoint_list(OPERATOR)
+    text += f"## {REPLAY}\n\nThe node of `./handover replay`. {summary(REPLAY)}\n\n" + endpoint_list(REPLAY)
+    return text.rstrip("\n") + "\n"
 
 
 def endpoint_list(node: str) -> str:
@@ -195,7 +197,7 @@ def endpoint_list(node: str) -> str:
     lines = []
     for kind, title in KIND_TITLES.items():
         names = [
-            code(end.name) + ("" if end.always else SOMETIMES)
+            "every topic" if end.name == EVERY else code(end.name) + ("" if end.always else SOMETIMES)
             for end in endpoints(node)
             if end.kind == kind and not (kind == "publishes" and end.name in EVERY_NODE)
         ]

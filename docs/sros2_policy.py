@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.sax.saxutils import escape, quoteattr
 
-from graph_scan import OPERATOR, Endpoint, cell_nodes, endpoints
+from graph_scan import EVERY, OPERATOR, REPLAY, Endpoint, cell_nodes, endpoints
+
+from handover_ros.bags.replay import COMMANDS, OWN
 
 ROOT = "/handover"
 HEADER = """<?xml version="1.0" encoding="UTF-8"?>
@@ -39,15 +41,26 @@ RULES = {
 
 
 def allowed(node: str) -> dict[str, set[str]]:
-    """Return the names that a node may use, by kind of endpoint."""
+    """Return the names that a node may use, by kind of endpoint.
+
+    Who records may hear all that nodes of the cell publish; who replays may publish it, but no command to a robot.
+    """
     if node == OPERATOR:
         return operator_allowed()
-    return _with_ros(node, endpoints(node))
+    own = [each for each in endpoints(node) if each.name != EVERY]
+    names = _with_ros(node, own)
+    published = {each.absolute for name in cell_nodes() for each in endpoints(name) if each.kind == "publishes"}
+    for each in set(endpoints(node)) - set(own):
+        said = published - {f"/{EVERY}"}
+        names[each.kind] |= said if each.kind == "receives" else said - {*COMMANDS, *OWN}
+    if "/clock" in names["publishes"]:
+        names["receives"].discard("/clock")
+    return names
 
 
 def operator_allowed() -> dict[str, set[str]]:
     """Return what a terminal may do: watch every topic, ask every service, command every action; publish nothing."""
-    every = [each for node in cell_nodes() for each in endpoints(node)]
+    every = [each for node in cell_nodes() for each in endpoints(node) if each.name != EVERY]
     names = _with_ros(OPERATOR, endpoints(OPERATOR))
     # `ros2 topic echo` of a command topic too: it is published by a node of the cell.
     names["receives"] |= {each.absolute for each in every if each.kind == "publishes"} | {"/rosout"}
@@ -66,14 +79,14 @@ def _with_ros(node: str, found: Iterable[Endpoint]) -> dict[str, set[str]]:
     names["receives"] |= set(EVERY_NODE_RECEIVES)
     if "/clock" in names["publishes"]:
         names["receives"].discard("/clock")
-    if node != OPERATOR:  # it has no parameter services
+    if node not in (OPERATOR, REPLAY):  # they have no parameter services
         names["serves"] |= {f"/{node}/{service}" for service in (*PARAMETER_SERVICES, TYPE_SERVICE)}
     return names
 
 
 def policy() -> str:
     """Return the policy as XML."""
-    nodes = [*cell_nodes(), OPERATOR]
+    nodes = [*cell_nodes(), OPERATOR, REPLAY]
     lines = ['<policy version="0.2.0">', "  <enclaves>"]
     for path, members in [(ROOT, nodes), *((f"{ROOT}/{node}", [node]) for node in nodes)]:
         lines += [f"    <enclave path={quoteattr(path)}>", "      <profiles>"]

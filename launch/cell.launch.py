@@ -86,6 +86,7 @@ def generate_launch_description() -> LaunchDescription:
                 "FASTRTPS_DEFAULT_PROFILES_FILE",
                 EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=profile),
             ),
+            SetEnvironmentVariable("MALLOC_ARENA_MAX", EnvironmentVariable("MALLOC_ARENA_MAX", default_value="2")),
             OpaqueFunction(function=start_nodes),
         ]
     )

@@ -19,18 +19,20 @@ import graph_scan  # noqa: E402
 import interface_files  # noqa: E402
 import sros2_policy  # noqa: E402
 
+from handover_ros.bags.replay import COMMANDS, OWN  # noqa: E402
+
 PAGES = sorted(DOCS.glob("*.md"))
 MAKER = re.compile(r"\b(create_publisher|create_subscription|create_service|create_client|ActionServer|ActionClient)\(")
 ROOMS = "sim|mocap|human|robot|objects|calibration|planner|preferences|handover|cell"
 
 
 def every_node():
-    return [*graph_scan.cell_nodes(), graph_scan.OPERATOR]
+    return [*graph_scan.cell_nodes(), graph_scan.OPERATOR, graph_scan.REPLAY]
 
 
 def known_names():
     """Return all topics, services and actions, as the source has them."""
-    return {end.name for node in every_node() for end in graph_scan.endpoints(node)}
+    return {end.name for node in every_node() for end in graph_scan.endpoints(node)} - {graph_scan.EVERY}
 
 
 def make_reference():
@@ -103,7 +105,9 @@ def test_nodes_of_launch_file_set_up_and_scan_are_the_same():
     for path in (SOURCE / "launch" / "cell.launch.py", SOURCE / "setup.py"):
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "NODES":
-                assert tuple(ast.literal_eval(node.value)) == graph_scan.cell_nodes()
+                named = tuple(ast.literal_eval(node.value))
+                assert named == graph_scan.cell_nodes()[: len(named)]
+                assert len(named) == len(graph_scan.cell_nodes()) or "recorder_node" in path.read_text()
     files = {path.stem for path in NODES.glob("*_node.py")}
     assert files == set(graph_scan.cell_nodes())
 
@@ -202,11 +206,27 @@ def granted(path):
     return found
 
 
+def published():
+    """Return the names of all topics that nodes of the cell publish."""
+    ends = [end for node in graph_scan.cell_nodes() for end in graph_scan.endpoints(node)]
+    return {end.absolute for end in ends if end.kind == "publishes" and end.name != graph_scan.EVERY}
+
+
+def test_a_replay_may_not_command_a_robot():
+    for node in ("player_node", "replay"):
+        assert not {("publishes", name) for name in COMMANDS} & granted(f"/handover/{node}")[node]
+
+
 @pytest.mark.parametrize("node", graph_scan.cell_nodes())
 def test_policy_grants_each_node_exactly_what_it_has(node):
     """Nothing is denied that the node does, and nothing allowed beyond that but what rclpy does in every node."""
     grants = granted(f"/handover/{node}")[node]
-    has = {(end.kind, end.absolute) for end in graph_scan.endpoints(node)}
+    has = {(end.kind, end.absolute) for end in graph_scan.endpoints(node) if end.name != graph_scan.EVERY}
+    for end in graph_scan.endpoints(node):
+        if end.name == graph_scan.EVERY:  # of a bag, or for one: what nodes of the cell publish
+            has |= {(end.kind, name) for name in published()} if end.kind == "receives" else set()
+            has |= {(end.kind, name) for name in published() - {*COMMANDS, *OWN}} if end.kind == "publishes" else set()
+    has -= {("receives", "/clock")}
     assert has <= grants
     own = {("publishes", name) for name in ("/rosout", "/parameter_events")}
     own |= {("receives", name) for name in ("/clock", "/parameter_events")}
@@ -216,7 +236,8 @@ def test_policy_grants_each_node_exactly_what_it_has(node):
 
 def test_policy_lets_a_terminal_watch_and_ask_but_not_command_the_robot():
     grants = granted("/handover/operator")["operator"]
-    every = {(end.kind, end.absolute) for node in graph_scan.cell_nodes() for end in graph_scan.endpoints(node)}
+    ends = [end for node in graph_scan.cell_nodes() for end in graph_scan.endpoints(node)]
+    every = {(end.kind, end.absolute) for end in ends if end.name != graph_scan.EVERY}
     assert {("receives", name) for kind, name in every if kind == "publishes"} <= grants
     assert {("asks", name) for kind, name in every if kind == "serves"} <= grants
     assert {("commands", name) for kind, name in every if kind == "executes"} <= grants

@@ -187,7 +187,10 @@ class Bag:
         if self._store is None:
             self._store = store_of({each.type_name: each.definition for each in self.topics.values()}.items())
         try:
-            return self._store.deserialize_cdr(data, topic.type_name)
+            definition = self._store.get_msgdef(topic.type_name)
+            read = definition.deserialize_cdr_le if data[1] & 1 else definition.deserialize_cdr_be
+            # Not the store's own function: that refuses bytes after the message, which serializers may leave there.
+            return read(data[4:], 0, definition.cls, self._store)[0]
         except Exception as error:  # rosbags' generated code raises whatever the bytes make it
             raise BadRecordingError(
                 f"bag {self.path}: a message of {topic.name} cannot be read: {' '.join(str(error).split())[:120]}"

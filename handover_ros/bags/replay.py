@@ -130,7 +130,7 @@ def first_used(bag: Bag, played: Collection[str]) -> dict[str, int]:
     """
     found = {}
     for stream, made in MADE_OF.items():
-        if stream in played and made not in played and made in bag.topics:
+        if stream in played and stream in bag.topics and made not in played and made in bag.topics:
             first = next(iter(bag.read([made])), None)
             if first is not None:
                 found[stream] = stamp_of(first[2])

@@ -29,7 +29,7 @@ NODES = (
 
 RECORDER = "recorder_node"
 #: Nodes that belong to no running cell, but look at it or stand in for it.
-EXTRA_NODES = (RECORDER, "player_node")
+EXTRA_NODES = ("recorder_node", "player_node")
 PR_SET_PDEATHSIG = 1  # prctl(2): which signal a process gets when its parent dies
 #: Grace [s] after each signal; together below the five seconds an operator waits after Ctrl-C.
 STOP_SEQUENCE = ((signal.SIGINT, 2.5), (signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))
@@ -114,7 +114,8 @@ class CellProcesses:
             stdin=subprocess.DEVNULL,
             stdout=log_file,
             stderr=subprocess.STDOUT,
-            env=dict(os.environ, PYTHONUNBUFFERED="1"),
+            # Each thread would hoard what it freed in an arena of its own.
+            env={"MALLOC_ARENA_MAX": "2", **os.environ, "PYTHONUNBUFFERED": "1"},
             start_new_session=True,
             preexec_fn=end_with_parent if sys.platform == "linux" else None,
         )

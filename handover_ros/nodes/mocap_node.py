@@ -19,7 +19,7 @@ from handover_ros.mocap.sources import MarkerSample, RecordingSource
 from handover_ros.nodes.convert import numpy_array, seconds_from_stamp
 from handover_ros.nodes.convert_human import fill_marker_frame, marker_set_message
 from handover_ros.nodes.parameters import ParameterSpec
-from handover_ros.nodes.runtime import LATCHED, RECORDER, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
+from handover_ros.nodes.runtime import LATCHED, RECORDER, STREAM_PUBLISHER, HandoverNode, main_of, monotonic
 from handover_ros.nodes.scheduling import PRIORITY, come_first
 from handover_ros.nodes.streams import StreamReader
 from handover_ros.objects.scene import load_scene
@@ -78,7 +78,7 @@ class MocapNode(HandoverNode):
         self.counted_frames, self.counted_at = 0, monotonic()
         self.message = MarkerFrame(set_version=self.set_version)
         self.message.header.frame_id = parameters["frame_id"]
-        self.marker_publisher = self.create_publisher(MarkerFrame, "mocap/markers", SENSOR_PUBLISHER)
+        self.marker_publisher = self.create_publisher(MarkerFrame, "mocap/markers", STREAM_PUBLISHER)
         self.set_publisher = self.create_publisher(MarkerSet, "mocap/marker_set", LATCHED)
         self.columns: np.ndarray | None = None  # where the set's markers stand in the source's samples; -1: nowhere
         self.absent = np.zeros(0, dtype=int)

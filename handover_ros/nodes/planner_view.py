@@ -46,11 +46,11 @@ class CellView:
         self.belief: tuple[str, Preference] | None = None  # whose, and what
         self.gripping: frozenset[str] = frozenset()
         self.last_problem = ""
-        newest = NewestReader(node, LOOK_PERIOD)
-        newest.add(JointState, "robot/joint_states", self.on_joints, SENSOR_CONSUMER)
-        newest.add(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
-        newest.add(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
-        newest.add(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
+        reader = NewestReader(node, LOOK_PERIOD)
+        reader.newest_of(JointState, "robot/joint_states", self.on_joints, SENSOR_CONSUMER)
+        reader.newest_of(GripperState, "robot/gripper_state", self.on_grippers, SENSOR_CONSUMER)
+        reader.newest_of(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
+        reader.newest_of(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER)
         node.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
         node.create_subscription(BeliefSummary, "preferences/belief", self.on_belief, LATCHED)
 

@@ -105,7 +105,7 @@ class Player:
             for name, topic in self.topics.items()
         }
         if CLOCK not in self.topics:
-            self.publishers[CLOCK] = self._node.create_publisher(Clock, CLOCK, SENSOR_PUBLISHER)
+            self.publishers[CLOCK] = self._node.create_publisher(Clock, "/clock", SENSOR_PUBLISHER)
 
     def wait_for_listeners(self, check: Callable[[], None]) -> list[str]:
         """Wait until every subscription to a played topic is matched; return those topics where one still is not.

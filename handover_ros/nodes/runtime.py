@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import faulthandler
+import functools
 import os
+import queue
 import signal
 import sys
 import threading
@@ -36,8 +38,10 @@ STOP_LIMIT = 4.0  # [s] of wall time a node may take to end; an operator waits f
 EXIT_BAD_INPUT = 2
 EXIT_CRASHED = 1
 
-# The four QoS profiles of the package; there are no others.
-#: Publishers of streams, and both sides of commands: nothing is lost while the consumer keeps up.
+# The five QoS profiles of the package; there are no others.
+#: Publishers of fast streams: nothing is lost while a consumer catches up with two seconds of it.
+STREAM_PUBLISHER = QoSProfile(depth=500, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+#: Other publishers, and both sides of commands: nothing is lost while the consumer keeps up.
 SENSOR_PUBLISHER = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 #: Live consumers of streams: the newest sample or none; depth is staleness.
 SENSOR_CONSUMER = QoSProfile(depth=2, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -191,34 +195,38 @@ class Worker:
     """One background thread that does a node's long work, one job at a time, so that the executor keeps turning.
 
     A job is a plain function; its result comes back as an rclpy future that a coroutine callback awaits. The future is
-    completed from the executor (through a guard condition), never from the thread.
+    completed from the executor (through a guard condition), never from the thread. It is the same thread for all jobs:
+    what one of them freed is there for the next one, and the node's memory stays as it is.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
+        self._waiting: queue.SimpleQueue[tuple[Future, Callable[[], Any]]] = queue.SimpleQueue()
         self._finished: list[tuple[Future, Any, Exception | None]] = []
         self._lock = threading.Lock()
-        self._jobs = threading.Lock()
         self._guard = node.create_guard_condition(self._deliver)
+        threading.Thread(target=self._run, daemon=True, name=f"{node.get_name()}_worker").start()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future:
         """Start ``function(*arguments)`` when the jobs before it are done; return the future of its result."""
         future = Future()
+        self._waiting.put((future, functools.partial(function, *arguments)))
+        return future
 
-        def work() -> None:
+    def _run(self) -> None:
+        while True:
+            future, job = self._waiting.get()
             result, error = None, None
-            with self._jobs:
-                try:
-                    result = function(*arguments)
-                except Exception as caught:
-                    error = caught
+            try:
+                result = job()
+            except Exception as caught:
+                error = caught
+            del job
             with self._lock:
                 self._finished.append((future, result, error))
+            del future, result, error  # nothing of a job is kept until the next one
             if self._node.context.ok():
                 self._guard.trigger()
-
-        threading.Thread(target=work, daemon=True, name=f"{self._node.get_name()}_worker").start()
-        return future
 
     def _deliver(self) -> None:
         with self._lock:

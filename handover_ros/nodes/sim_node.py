@@ -49,6 +49,7 @@ from handover_ros.nodes.runtime import (
     RECORDER,
     SENSOR_CONSUMER,
     SENSOR_PUBLISHER,
+    STREAM_PUBLISHER,
     HandoverNode,
     Worker,
     answer,
@@ -126,9 +127,9 @@ class SimNode(HandoverNode):
         self.due = dict.fromkeys(("state", "objects", "image"), simulation.time)
 
         self.clock_publisher = self.create_publisher(Clock, "/clock", SENSOR_PUBLISHER)
-        self.marker_publisher = self.create_publisher(MarkerFrame, "sim/markers", SENSOR_PUBLISHER)
+        self.marker_publisher = self.create_publisher(MarkerFrame, "sim/markers", STREAM_PUBLISHER)
         self.set_publisher = self.create_publisher(MarkerSet, "sim/marker_set", LATCHED)
-        self.joint_publisher = self.create_publisher(JointState, "robot/joint_states", SENSOR_PUBLISHER)
+        self.joint_publisher = self.create_publisher(JointState, "robot/joint_states", STREAM_PUBLISHER)
         self.gripper_publisher = self.create_publisher(GripperState, "robot/gripper_state", SENSOR_PUBLISHER)
         self.object_publisher = self.create_publisher(ObjectStates, "objects/states", SENSOR_PUBLISHER)
         self.truth_publisher = self.create_publisher(SimulationTruth, "sim/truth", SENSOR_PUBLISHER)

@@ -27,7 +27,16 @@ from handover_ros.nodes.convert_human import (
 )
 from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.parameters import ParameterSpec
-from handover_ros.nodes.runtime import LATCHED, RECORDER, SENSOR_PUBLISHER, HandoverNode, Worker, main_of, monotonic
+from handover_ros.nodes.runtime import (
+    LATCHED,
+    RECORDER,
+    SENSOR_PUBLISHER,
+    STREAM_PUBLISHER,
+    HandoverNode,
+    Worker,
+    main_of,
+    monotonic,
+)
 from handover_ros.nodes.scheduling import PRIORITY, come_first
 from handover_ros.nodes.streams import StreamReader
 from handover_ros.skeleton.profile import Profile, read_profile
@@ -116,8 +125,8 @@ class SkeletonNode(HandoverNode):
         self.visual_period = 1.0 / self.parameters["visual_rate"]
         self.message, self.joint_message = SkeletonState(), JointState()
         self.worker = Worker(self)
-        self.state_publisher = self.create_publisher(SkeletonState, "human/skeleton_state", SENSOR_PUBLISHER)
-        self.joint_publisher = self.create_publisher(JointState, "human/joint_states", SENSOR_PUBLISHER)
+        self.state_publisher = self.create_publisher(SkeletonState, "human/skeleton_state", STREAM_PUBLISHER)
+        self.joint_publisher = self.create_publisher(JointState, "human/joint_states", STREAM_PUBLISHER)
         self.visual_publisher = self.create_publisher(MarkerArray, "human/visual", SENSOR_PUBLISHER)
         self.description_publisher = self.create_publisher(String, "human/robot_description", LATCHED)
         self.description_publisher.publish(String())

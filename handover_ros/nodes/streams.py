@@ -121,7 +121,7 @@ class NewestReader:
         self._read: list[tuple[Any, type, Callable[[Any], None]]] = []
         node.create_timer(period, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def add(self, message_type: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> None:
+    def newest_of(self, message_type: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> None:
         """Call ``callback`` from the executor with the newest message of a topic, if there is a new one."""
         subscription = self._node.create_subscription(
             message_type, topic, callback, profile, callback_group=OwnThread()

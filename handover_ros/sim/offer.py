@@ -1,10 +1,11 @@
-"""When an object counts as offered: the robot holds it out, still, away from the tables."""
+"""When an object counts as offered: the robot holds it out, still, away from the table it came from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_ros.geometry import FloatArray
 from handover_ros.objects.scene import Scene
@@ -20,7 +21,7 @@ class OfferWatch:
     """Says which object the robot offers.
 
     Args:
-        scene: Its tables are where nothing is offered.
+        scene: Its tables are where the robot takes things from and puts them back.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -32,6 +33,7 @@ class OfferWatch:
     def reset(self) -> None:
         """Forget what was offered."""
         self._still_since: dict[str, float] = {}
+        self._tables: dict[str, npt.NDArray[np.bool_]] = {}  # held object -> the tables over which it was taken up
         self._offered: str | None = None
 
     def update(
@@ -49,16 +51,19 @@ class OfferWatch:
             self._still_since.pop(self._offered, None)
             self._offered = None
         for name in held:
-            if speeds[name] > STILL or not self._away_from_tables(poses[name][:3, 3]):
+            place = poses[name][:3, 3]
+            if name not in self._tables:
+                self._tables[name] = self._low_over(place)
+            if speeds[name] > STILL or (self._low_over(place) & self._tables[name]).any():
                 self._still_since.pop(name, None)
             elif time - self._still_since.setdefault(name, time) >= STILL_FOR and self._offered is None:
                 self._offered = name
-        for name in [name for name in self._still_since if name not in held]:
-            del self._still_since[name]
+        self._still_since = {name: since for name, since in self._still_since.items() if name in held}
+        self._tables = {name: tables for name, tables in self._tables.items() if name in held}
         return self._offered
 
-    def _away_from_tables(self, position: FloatArray) -> bool:
-        """Return whether a point [m] is beside all tables or high above them."""
+    def _low_over(self, position: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return over which tables a point [m] is, and not high above."""
         over = np.all(np.abs(position[:2] - self._centres[:, :2]) <= self._halves[:, :2], axis=1)
         low = position[2] < self._centres[:, 2] + self._halves[:, 2] + ABOVE_TABLE
-        return not bool(np.any(over & low))
+        return np.asarray(over & low)

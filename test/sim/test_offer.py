@@ -40,3 +40,17 @@ def test_touch_does_not_end_an_offer_but_withdrawal_does():
     assert watch.update(2.1, {"mug": "left"}, poses, {"mug": 0.5}) is None
     watch, _ = watched(OUT)
     assert watch.update(2.0, {}, poses, {"mug": 0.0}) is None
+
+
+def test_low_over_another_table_counts_and_over_its_own_not():
+    """The person's own table is often where a handover is cheapest; the robot's is where it takes things from."""
+    scene = load_scene("lab")
+    goal = scene.goals["mug"][:3, 3]
+    watch, offered = OfferWatch(scene), []
+    for number, position in enumerate([OVER_TABLE] * 100 + [tuple(goal + [0.0, 0.0, 0.06])] * 100 + [OVER_TABLE] * 100):
+        moving = 0.5 if number in (100, 200) else 0.0
+        poses = {"mug": transform_from_xyz_rpy(position)}
+        offered.append(watch.update(0.01 * number, {"mug": "left"}, poses, {"mug": moving}))
+    assert offered[99] is None
+    assert offered[199] == "mug"
+    assert offered[299] is None
