@@ -19,7 +19,7 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ.setdefault("MUJOCO_GL", "egl")
 # Never the user's own profiles; the folder is made only by a test that stores one.
 os.environ["HANDOVER_PROFILES"] = str(Path(tempfile.gettempdir()) / f"handover_profiles_{os.getpid()}")
-for folder in ("mocap", "nodes", "preferences", "skeleton", "studies"):
+for folder in ("bags", "mocap", "nodes", "preferences", "skeleton", "studies"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)

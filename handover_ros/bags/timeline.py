@@ -162,7 +162,7 @@ class _Reading:
 
     def take(self, topic: Topic, stamp: int, data: bytes) -> None:
         """Take in one message."""
-        seconds = (stamp - self.bag.start) * 1e-9
+        seconds = (stamp - self.bag.start) / 1e9
         place = min(max(int(seconds / self.width), 0), self.bins - 1) if self.width else 0
         self.courses[topic.name].take(seconds, place)
         taker = self.takers.get(topic.name)

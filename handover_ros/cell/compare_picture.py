@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 
 from handover_ros.bags.timeline_picture import (
+    PLAIN_TEXT,
     WIDTH,
     draw_belief,
     draw_events,
@@ -34,6 +35,11 @@ def draw_comparison(comparison: Comparison, path: Path) -> Path | None:
     if not timelines and not joints:
         return None
     matplotlib.use("Agg")
+    with matplotlib.rc_context(PLAIN_TEXT):
+        return _draw(comparison, timelines, joints, path)
+
+
+def _draw(comparison: Comparison, timelines: Sequence[tuple[str, Timeline]], joints: bool, path: Path) -> Path:
     from matplotlib import pyplot
 
     panels: list[tuple[float, str, Any, Timeline]] = []
