@@ -322,6 +322,10 @@ def replay(
     speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="Recorded seconds per second.")] = 1.0,
     start: Annotated[float, typer.Option(min=0.0, help="Where to begin [s].")] = 0.0,
     duration: Annotated[float, typer.Option(min=0.0, help="How long [s]; 0: to the end.")] = 0.0,
+    expect_same: Annotated[
+        bool,
+        typer.Option("--expect-same", help="End with status 1 unless states and beliefs are the same, bit for bit."),
+    ] = False,
     topic: Annotated[
         list[str] | None, typer.Option(help="What is played, name or pattern; default: all but commands.")
     ] = None,
@@ -341,6 +345,7 @@ def replay(
         speed=speed,
         start=start,
         duration=duration,
+        expect_same=expect_same,
         topics=tuple(topic or ()),
         exclude=tuple(exclude or ()),
         json_file=json_file,

@@ -80,20 +80,21 @@ def largest_difference(ours: Any, theirs: Any) -> float:
     return float(np.nan_to_num(apart).max(initial=0.0))
 
 
-def compare_states(recorded: Bag, replayed: Bag, begin: int = 0) -> Sameness:
+def compare_states(recorded: Bag, replayed: Bag, begin: int = 0, end: int | None = None) -> Sameness:
     """Compare the states of the person, frame by frame, found by their stamps.
 
     Args:
         recorded: What was recorded.
         replayed: What the replay gave.
         begin: Stamp [ns] of the first frame that counts.
+        end: Stamp [ns] of the last one; None: all count.
     """
     result = Sameness(STATES)
     theirs = _by_stamp(replayed)
     stamp, data = next(theirs, (None, b""))
     for topic, _, ours in recorded.read([STATES]):
         wanted = stamp_of(ours)
-        if wanted < begin:
+        if wanted < begin or (end is not None and wanted > end):
             continue
         result.recorded += 1
         while stamp is not None and stamp < wanted:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import platform
 import shutil
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -96,24 +95,6 @@ class Session:
             "metrics": {key: plain(value) for key, value in metrics.items()},
         }
         write_whole(self.folder / FILE, json.dumps(document, indent=2, allow_nan=False) + "\n")
-
-
-@dataclass
-class Kept:
-    """How a session goes, filled in by whoever runs it."""
-
-    outcome: str = FAILED
-    metrics: Mapping[str, float] = field(default_factory=dict)
-
-
-@contextlib.contextmanager
-def keeping(session: Session) -> Iterator[Kept]:
-    """Give a place for outcome and numbers; the end of the session is written whatever happens."""
-    kept = Kept()
-    try:
-        yield kept
-    finally:
-        session.end(kept.outcome, kept.metrics)
 
 
 def plain(value: Any) -> Any:

@@ -19,6 +19,7 @@ from rich.table import Table
 from std_msgs.msg import Header
 
 from handover_ros.bags.reading import BAG
+from handover_ros.cell.keeping import keeping
 from handover_ros.cell.learning_curve import draw_learning, learning_table
 from handover_ros.cell.marker_files import AUTO, matching
 from handover_ros.cell.processes import NODES, RECORDER, CellProcesses, NodeLaunch, check_alive
@@ -30,7 +31,8 @@ from handover_ros.cell.report import (
     phase_table,
     write_json,
 )
-from handover_ros.cell.session import FAILED, INTERRUPTED, OK, Session, keeping, parameters_of
+from handover_ros.cell.session import FAILED, INTERRUPTED, OK, Session, parameters_of
+from handover_ros.cell.session_report import PAGE
 from handover_ros.cell.store import default_directory
 from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.mocap.recordings import read_recording
@@ -169,7 +171,7 @@ def run_demo(request: DemoRequest, console: Console, stop: threading.Event) -> i
         plan[node] = NodeLaunch(node, {**launch.parameters, **parameters}, launch.parameter_file)
     recorder = {RECORDER: recorder_launch(folder)} if request.record else {}
     session = Session.begin(folder, "demo", vars(request), [*recorder.values(), *plan.values()], folder / PROFILES)
-    with keeping(session) as kept:
+    with keeping(session, console) as kept:
         try:
             shown = demonstrate(request, console, Interrupt(stop), folder, objects, {**recorder, **plan})
         except InterruptedByOperatorError:
@@ -381,8 +383,8 @@ def tell(request: DemoRequest, console: Console, folder: Path, shown: Demonstrat
         }
         for record in shown.records
     ]
-    if request.record:
-        files.append(folder / BAG)
+    files += [folder / BAG] if request.record else []
+    files.append(folder / PAGE)
     for target in filter(None, (folder / "demo.json", request.json_file)):
         steps = [] if lesson is None else [step.document() for step in lesson.steps]
         more = {"details": phases, "learning": steps, "folder": str(folder)}
@@ -408,7 +410,7 @@ def run_up(request: UpRequest, console: Console, stop: threading.Event) -> int:
     given = parameters_of(plan["preference_node"]).get("profile_directory") if "preference_node" in plan else ""
     profiles = Path(str(given)).expanduser() if given else default_directory()
     session = Session.begin(folder, "up", vars(request), list(plan.values()), profiles)
-    with keeping(session) as kept, CellProcesses(folder / "log") as processes:
+    with keeping(session, console) as kept, CellProcesses(folder / "log") as processes:
         for launch in plan.values():
             processes.start(launch)
         try:

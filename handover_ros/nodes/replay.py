@@ -22,10 +22,10 @@ from handover_ros.bags.reading import BAG, Bag
 from handover_ros.bags.replay import check_inputs, drivable, stamp_of
 from handover_ros.bags.sameness import BELIEFS, STATES, Sameness, compare_beliefs, compare_states
 from handover_ros.cell.late_progress import LateProgress
-from handover_ros.cell.processes import CellProcesses, NodeLaunch, check_alive
+from handover_ros.cell.processes import EXTRA_NODES, NODES, CellProcesses, NodeLaunch, check_alive
 from handover_ros.cell.report import output_folder, write_json
 from handover_ros.cell.session import PARAMETERS, START
-from handover_ros.errors import BadRecordingError, StaleDataError
+from handover_ros.errors import BadRecordingError, BadRequestError, StaleDataError
 from handover_ros.nodes.operator import InterruptedByOperatorError
 from handover_ros.nodes.player import Player, Selection
 from handover_ros.nodes.recorder_node import patterns
@@ -33,9 +33,10 @@ from handover_ros.nodes.runtime import SENSOR_PUBLISHER
 from handover_ros.resources import config_directory
 
 READY_LIMIT = 120.0  # [s] of wall time until the nodes are up: kernels may have to be compiled
+DISCOVERY = 0.7  # [s] of wall time until nodes of this machine are known
 LINGER = 1.5  # [s] of wall time for the last answers to be taken in and recorded
 MADE = {"mocap_node": "/mocap/.*", "skeleton_node": "/human/.*", "preference_node": "/preferences/.*"}
-EXIT_INTERRUPTED = 130
+EXIT_DIFFERENT, EXIT_INTERRUPTED = 1, 130
 POLL = 0.02  # [s]
 
 
@@ -50,6 +51,7 @@ class ReplayRequest:
         speed: Recorded seconds per second.
         start: Where to begin [s].
         duration: How long [s]; 0: to the end.
+        expect_same: Whether anything but the same, bit for bit, is a failure.
         topics: Names or patterns of what is played; empty: all but commands.
         exclude: Names or patterns of what is left out.
         json_file: Where to write the numbers too.
@@ -62,6 +64,7 @@ class ReplayRequest:
     speed: float = 1.0
     start: float = 0.0
     duration: float = 0.0
+    expect_same: bool = False
     topics: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     json_file: Path | None = None
@@ -97,6 +100,19 @@ class Watcher:
     def ready(self, nodes: tuple[str, ...]) -> bool:
         """Return whether all nodes are ready for work."""
         return all(self.states.get(node) == Heartbeat.READY for node in nodes)
+
+    def refuse_company(self, stop: threading.Event) -> None:
+        """Raise when nodes of a cell run already.
+
+        Raises:
+            BadRequestError: They would hear the replay, and publish beside it.
+        """
+        stop.wait(DISCOVERY)
+        if others := sorted({*NODES, *EXTRA_NODES} & set(self.node.get_node_names())):
+            raise BadRequestError(
+                f"{', '.join(others)} run in this ROS domain: stop them, choose another ROS_DOMAIN_ID, or play to them "
+                "with --no-start-nodes"
+            )
 
     def close(self) -> None:
         """Leave the graph."""
@@ -141,7 +157,7 @@ def replay_launches(bag: Bag, nodes: tuple[str, ...], folder: Path) -> list[Node
 
 
 def run_replay(request: ReplayRequest, console: Console, stop: threading.Event) -> int:
-    """Replay a bag and return the exit status: 0, also when the nodes gave something else; 130 when interrupted.
+    """Replay a bag and return the exit status: 0; 1 when the same was expected and did not come; 130 when interrupted.
 
     Raises:
         HandoverError: The bag cannot be played.
@@ -163,9 +179,10 @@ def run_replay(request: ReplayRequest, console: Console, stop: threading.Event) 
             raise BadRecordingError(f"--out {folder}: there is a bag already; name another folder")
         with watching() as watcher, CellProcesses(folder / "log") as processes:
             player = Player(watcher.node, bag, selection)
-            launches = replay_launches(bag, nodes, folder) if request.start_nodes else []
-            if launches and watcher.node.count_publishers("/clock"):
-                player.prepare()  # says what is wrong
+            launches = []
+            if request.start_nodes:
+                watcher.refuse_company(stop)
+                launches = replay_launches(bag, nodes, folder)
             for launch in launches:
                 processes.start(launch)
             if launches:
@@ -189,9 +206,10 @@ def run_replay(request: ReplayRequest, console: Console, stop: threading.Event) 
             f"{name}_largest_difference": max(result.largest.values(), default=0.0),
         }
     console.print(f"everything is in {folder}", highlight=False, soft_wrap=True)
+    ok = not request.expect_same or (bool(results) and all(result.equal for result in results))
     for target in filter(None, (folder / "replay.json", request.json_file)):
-        write_json(target, "replay", True, 0, metrics, files=[folder / BAG], folder=str(folder))
-    return 0
+        write_json(target, "replay", ok, 0, metrics, files=[folder / BAG], folder=str(folder))
+    return 0 if ok else EXIT_DIFFERENT
 
 
 def _play(
@@ -232,19 +250,17 @@ def _play(
 
 
 def compared(bag: Bag, folder: Path, request: ReplayRequest) -> list[Sameness]:
-    """Return how like the recording the replay is; only where it was played from the beginning as it was recorded."""
+    """Return how like the recording the replay is, as far as it was played."""
     results = []
     with Bag(folder / BAG) as made:
         if STATES in bag.topics and STATES in made.topics:
-            results.append(compare_states(bag, made, _first_stamp(made) if request.start > 0.0 else 0))
-        if BELIEFS in bag.topics and BELIEFS in made.topics and request.start == 0.0:
+            stamps = [stamp_of(data) for _, _, data in made.read([STATES])] or [0]
+            begin = stamps[0] if request.start > 0.0 else 0
+            end = stamps[-1] if request.duration > 0.0 else None
+            results.append(compare_states(bag, made, begin, end))
+        if BELIEFS in bag.topics and BELIEFS in made.topics and not (request.start or request.duration):
             results.append(compare_beliefs(bag, made))
     return results
-
-
-def _first_stamp(made: Bag) -> int:
-    """Return the stamp [ns] of the first state that a replay gave."""
-    return next((stamp_of(data) for _, _, data in made.read([STATES])), 0)
 
 
 def _metrics(bag: Bag, player: Player) -> dict[str, float]:

@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 import yaml
 from profiles import profile_of
+from rich.console import Console
 
 from handover_ros.bags.definitions import Definition
 from handover_ros.bags.reading import Bag
 from handover_ros.bags.recording import BagWriter
+from handover_ros.cell.keeping import keeping
 from handover_ros.cell.processes import NodeLaunch
-from handover_ros.cell.session import FAILED, OK, Session, keep_people, keeping, mend_bag, parameters_of
+from handover_ros.cell.session import FAILED, OK, Session, keep_people, mend_bag, parameters_of
 from handover_ros.cell.store import ProfileStore
 from handover_ros.errors import BadRequestError
 
@@ -57,7 +59,7 @@ def test_a_session_says_at_once_what_runs(tmp_path: Path) -> None:
 
 def test_the_end_is_written_whatever_happens(tmp_path: Path) -> None:
     def crash() -> None:
-        with keeping(begun(tmp_path)) as kept:
+        with keeping(begun(tmp_path), Console(quiet=True)) as kept:
             kept.metrics = {"ready_s": 1.5, "nothing": float("nan")}
             raise ZeroDivisionError
 
@@ -67,6 +69,8 @@ def test_the_end_is_written_whatever_happens(tmp_path: Path) -> None:
     assert content["outcome"] == FAILED
     assert content["ended"]
     assert content["metrics"] == {"ready_s": 1.5, "nothing": None}
+    assert "It ended, but not as it should." in (tmp_path / "session" / "report.md").read_text()
+    assert (tmp_path / "session" / "report.html").is_file()
 
 
 def test_people_who_were_not_there_are_not_kept(tmp_path: Path) -> None:
@@ -82,7 +86,7 @@ def test_people_who_were_not_there_are_not_kept(tmp_path: Path) -> None:
     message = ActiveProfile(info=ProfileInfo(profile_id="bert"))
     writer.write("/calibration/active_profile", name, 1, serialize_message(message))
     writer.flush()  # and killed
-    with keeping(session) as kept:
+    with keeping(session, Console(quiet=True)) as kept:
         kept.outcome = OK
     with Bag(tmp_path / "session") as bag:
         assert bag.note == "", "a bag that was not closed is made whole"
