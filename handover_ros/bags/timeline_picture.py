@@ -17,7 +17,7 @@ from handover_ros.colours import BAD, EVENT_COLOURS, GOOD, NEUTRAL, OTHER_COLOUR
 WIDTH = 12.0  # [in]
 LETTER = 0.0062  # width of a letter of 8 points, as a share of the axes
 MOST_TOPICS, MOST_NODES = 40, 12
-PLAIN_TEXT = {"text.parse_math": False}  # names and messages are no formulas
+PLAIN_TEXT: Any = {"text.parse_math": False}  # names and messages are no formulas
 STEADY = 15.0  # messages in a bin from which on their number is steady
 BELIEF_COLOUR = "#5b4b8a"
 MARKS = {"taken": "^", "placed": "v", "dropped": "X", "grasped": "o", "released": "o", "fault": "P", "person": "s"}

@@ -10,7 +10,6 @@ import numpy as np
 
 from handover_ros.bags.timeline_types import BeliefMark
 from handover_ros.cell.belief_store import BeliefStore
-from handover_ros.cell.preference_learner import point_estimates
 from handover_ros.cell.store import ProfileStore
 from handover_ros.errors import HandoverError
 
@@ -95,14 +94,14 @@ def people(folder: Path, notes: list[str]) -> tuple[PersonThen, ...]:
 
 def _stored_belief(beliefs: BeliefStore, profile_id: str) -> BeliefThen:
     belief = beliefs.load(profile_id).belief
-    mean = point_estimates(belief)["mean"]
+    middle = belief.prior.space.people(belief.mean[None])
     return BeliefThen(
         profile_id,
         belief.observations,
         belief.entropy,
         belief.prior.space.joints,
-        tuple(map(float, mean.neutral)),
-        tuple(map(float, mean.weights)),
+        tuple(map(float, middle.neutral[0])),
+        tuple(map(float, middle.weights[0])),
     )
 
 
