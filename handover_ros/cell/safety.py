@@ -66,6 +66,10 @@ class Freshness:
         """Take a sample at steady wall time ``now`` [s]."""
         self._last = now
 
+    def age(self, now: float) -> float:
+        """Return how old the newest sample is at steady wall time ``now`` [s]; NaN: there was none."""
+        return float("nan") if self._last is None else now - self._last
+
     def problem(self, now: float) -> str:
         """Return a sentence when the stream is stale or never began, otherwise an empty string."""
         if self._last is None:

@@ -428,7 +428,13 @@ class ExecutiveNode(HandoverNode):
         return (
             not missing,
             line,
-            {"phase": phase, "handovers": self.handovers, "taken": self.taken, "pull_N": self.view.pull.pull},
+            {
+                "phase": phase,
+                "handovers": self.handovers,
+                "taken": self.taken,
+                "pull_N": self.view.pull.pull,
+                "joint_state_age_s": self.view.robot_state.age(monotonic()),
+            },
         )
 
     def on_stop(self) -> None:

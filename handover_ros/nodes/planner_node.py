@@ -110,6 +110,7 @@ class PlannerNode(HandoverNode):
         self.taken_from: dict[str, FloatArray] = {}  # object -> world_from_object when it was planned to be fetched
         self.numbers = itertools.count(1)
         self.plans, self.refusals = 0, 0
+        self.planning_time = float("nan")  # [s] of the newest plan
 
         self.worker = Worker(self)
         self.plan_publisher = self.create_publisher(HandoverPlan, "planner/plan", LATCHED)
@@ -188,6 +189,7 @@ class PlannerNode(HandoverNode):
             self.refusals += 1
             raise
         self.plans += 1
+        self.planning_time = plan.planning_time
         stamp = self.get_clock().now().to_msg()
         names = self.robot.arm(plan.arm).joint_names
         plan_id = f"{plan.object_name}-{stamp.sec}.{stamp.nanosec // 1000000:03d}-{next(self.numbers)}"
@@ -320,6 +322,7 @@ class PlannerNode(HandoverNode):
         values = {
             "plans": self.plans,
             "refusals": self.refusals,
+            "last_planning_s": self.planning_time,
             "profile": self.view.profile.profile_id if self.view.profile else "",
             "last_problem": self.last_problem or self.view.last_problem,
             "preference": "believed" if self.view.preference else "generic",
