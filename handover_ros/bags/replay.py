@@ -48,6 +48,11 @@ def drivable(bag: Bag) -> tuple[str, ...]:
     return tuple(nodes)
 
 
+def inputs_of(nodes: Sequence[str]) -> set[str]:
+    """Return the topics that nodes need."""
+    return {topic for node in nodes for topic in INPUTS.get(node, ())}
+
+
 def check_inputs(bag: Bag, nodes: Sequence[str]) -> None:
     """Raise when a bag lacks what nodes need.
 
@@ -68,22 +73,34 @@ def check_inputs(bag: Bag, nodes: Sequence[str]) -> None:
                 )
 
 
-def check_versions(topics: Collection[Topic], installed: Definitions, path: object) -> None:
-    """Raise when a message type is not the installed one.
+def other_versions(
+    topics: Collection[Topic], needed: Collection[str], installed: Definitions, path: object
+) -> dict[str, str]:
+    """Return what is different about topics whose message type is not the installed one, by name.
+
+    Args:
+        topics: What is to be played.
+        needed: Names of those that must be as they are installed.
+        installed: The installed definitions.
+        path: Of the bag, for the message.
 
     Raises:
-        BadRecordingError: Names topic, type and difference.
+        BadRecordingError: A needed one is different; names topic, type and difference.
     """
+    found = {}
     for topic in topics:
         try:
             change = difference(topic.type_name, topic.definition, topic.digest, installed.of(topic.type_name))
         except UnknownNameError:
             change = "it is not installed here"
-        if change:
+        if change and topic.name in needed:
             raise BadRecordingError(
                 f"bag {path}: topic {topic.name}: {topic.type_name} of another version: {change}; replay it with the "
                 f"version that recorded it, or leave it out: --exclude {topic.name}"
             )
+        if change:
+            found[topic.name] = f"{topic.type_name} of another version: {change}"
+    return found
 
 
 def chosen_topics(

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from handover_msgs.action import ExecuteHandover
@@ -387,7 +388,7 @@ def tell(request: DemoRequest, console: Console, folder: Path, shown: Demonstrat
     files.append(folder / PAGE)
     for target in filter(None, (folder / "demo.json", request.json_file)):
         steps = [] if lesson is None else [step.document() for step in lesson.steps]
-        more = {"details": phases, "learning": steps, "folder": str(folder)}
+        more: dict[str, Any] = {"details": phases, "learning": steps, "folder": str(folder)}
         write_json(target, "demo", shown.ok, request.seed, shown.metrics, files=files, **more)
 
 

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from handover_ros.bags.definitions import Definitions
 from handover_ros.bags.reading import Bag, Topic
-from handover_ros.bags.replay import CLOCK, check_versions, chosen_topics, first_used, latest_before, stamp_of
+from handover_ros.bags.replay import CLOCK, chosen_topics, first_used, latest_before, other_versions, stamp_of
 from handover_ros.errors import BadRequestError
 from handover_ros.nodes.bag_qos import message_class, replay_profile
 from handover_ros.nodes.runtime import SENSOR_PUBLISHER
@@ -57,13 +57,17 @@ class Player:
         node: Whose publishers they are.
         bag: The bag.
         selection: What of it.
+        needed: Topics that must have the installed message types.
+
+    Attributes:
+        left_out: Topics of other types, each with what is different.
 
     Raises:
         BadRecordingError: Nothing is left to play, or a message type is of another version.
         BadRequestError: The start is behind the end.
     """
 
-    def __init__(self, node: Node, bag: Bag, selection: Selection) -> None:
+    def __init__(self, node: Node, bag: Bag, selection: Selection, needed: Collection[str] = ()) -> None:
         self.bag, self.selection, self._node = bag, selection, node
         self.start = bag.start + round(selection.start * 1e9)
         if self.start > bag.end:
@@ -76,11 +80,15 @@ class Player:
         self.late = 0.0  # [s] of wall time the replay was behind at worst
         self.publishers: dict[str, Publisher] = {}
         self.topics: dict[str, Topic] = {}
-        check_versions(self.choice(()).values(), Definitions(), bag.path)
+        self.left_out: dict[str, str] = {}
+        chosen = self.choice(())
+        must = set(chosen) if selection.wanted else set(needed)
+        self.left_out = other_versions(chosen.values(), must, Definitions(), bag.path)
 
     def choice(self, published: Collection[str]) -> dict[str, Topic]:
         """Return what is played when others publish some topics."""
-        return chosen_topics(self.bag, published, self.selection.wanted, self.selection.unwanted)
+        chosen = chosen_topics(self.bag, published, self.selection.wanted, self.selection.unwanted)
+        return {name: topic for name, topic in chosen.items() if name not in self.left_out}
 
     def prepare(self) -> None:
         """Make the publishers, of what nobody else publishes.

@@ -10,6 +10,7 @@ from pathlib import Path
 from handover_msgs.msg import Heartbeat
 
 from handover_ros.bags.reading import Bag
+from handover_ros.bags.replay import INPUTS, inputs_of
 from handover_ros.errors import BadRequestError, HandoverError, StaleDataError
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.player import Player, Selection
@@ -46,7 +47,10 @@ class PlayerNode(HandoverNode):
             patterns("topics", parameters["topics"]),
             patterns("exclude", parameters["exclude"]),
         )
-        self.player = Player(self, self.bag, selection)
+        nodes = parameters["nodes"].split() or tuple(INPUTS)
+        self.player = Player(self, self.bag, selection, inputs_of(nodes))
+        for topic, why in self.player.left_out.items():
+            self.get_logger().warning(f"{topic} is left out: {why}")
         self.there: set[str] = set()
         self.stopping = threading.Event()
         self.fraction = 0.0

@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 
 from handover_ros.bags.reading import BAG, Bag
-from handover_ros.bags.replay import check_inputs, drivable, stamp_of
+from handover_ros.bags.replay import INPUTS, check_inputs, drivable, inputs_of, stamp_of
 from handover_ros.bags.sameness import BELIEFS, STATES, Sameness, compare_beliefs, compare_states
 from handover_ros.cell.late_progress import LateProgress
 from handover_ros.cell.processes import EXTRA_NODES, NODES, CellProcesses, NodeLaunch, check_alive
@@ -178,7 +178,9 @@ def run_replay(request: ReplayRequest, console: Console, stop: threading.Event) 
         if request.start_nodes and (folder / BAG).exists():
             raise BadRecordingError(f"--out {folder}: there is a bag already; name another folder")
         with watching() as watcher, CellProcesses(folder / "log") as processes:
-            player = Player(watcher.node, bag, selection)
+            player = Player(watcher.node, bag, selection, inputs_of(nodes or tuple(INPUTS)))
+            for topic, why in player.left_out.items():
+                console.print(f"{topic} is left out: {why}", highlight=False, soft_wrap=True)
             launches = []
             if request.start_nodes:
                 watcher.refuse_company(stop)

@@ -35,6 +35,7 @@ DISCOVERY_LIMIT = 5.0  # [s] of wall time a service may take to be discovered
 POLL_PERIOD = 0.1  # [s] of wall time between two looks
 SWITCH_INTERVAL = 0.001  # [s] a thread may hold the interpreter while a stream's thread waits for it
 STOP_LIMIT = 4.0  # [s] of wall time a node may take to end; an operator waits five
+WORKER = "_worker"  # how the names of worker threads end
 EXIT_BAD_INPUT = 2
 EXIT_CRASHED = 1
 
@@ -205,7 +206,7 @@ class Worker:
         self._finished: list[tuple[Future, Any, Exception | None]] = []
         self._lock = threading.Lock()
         self._guard = node.create_guard_condition(self._deliver)
-        threading.Thread(target=self._run, daemon=True, name=f"{node.get_name()}_worker").start()
+        threading.Thread(target=self._run, daemon=True, name=f"{node.get_name()}{WORKER}").start()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future:
         """Start ``function(*arguments)`` when the jobs before it are done; return the future of its result."""

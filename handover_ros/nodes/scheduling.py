@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 from pathlib import Path
 
 from handover_ros.nodes.parameters import ParameterSpec
+from handover_ros.nodes.runtime import WORKER
 
 NICE = -10
 PRIORITY = ParameterSpec(
@@ -21,13 +23,16 @@ PRIORITY = ParameterSpec(
 def come_first(priority: int) -> str:
     """Have the kernel run this process before others, as far as it is allowed to; return how it is run, in words.
 
+    Its worker, which does what takes long, stays behind.
+
     A frame takes well under a millisecond of work, but waits for several when a plan is computed on every core. The
     right to set it comes from ``rtprio`` or ``nice`` in ``/etc/security/limits.conf``, or ``CAP_SYS_NICE``.
 
     Args:
         priority: 1 to 99; 0: nothing is changed.
     """
-    threads = [int(task.name) for task in Path("/proc/self/task").glob("*")]
+    workers = {thread.native_id for thread in threading.enumerate() if thread.name.endswith(WORKER)}
+    threads = [int(task.name) for task in Path("/proc/self/task").glob("*") if int(task.name) not in workers]
     if not priority or not threads:
         return "as any process"
     try:

@@ -87,9 +87,10 @@ class StreamReader:
 
     def _run(self) -> None:
         try:
-            handle = self._subscription.handle
-            with handle, self._context.handle:
-                wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._context.handle)
+            handle, context = self._subscription.handle, self._context.handle
+            assert context is not None  # the node lives
+            with handle, context:
+                wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, context)
                 while not self._stop.is_set() and self._context.ok():
                     wait_set.clear_entities()
                     wait_set.add_subscription(handle)

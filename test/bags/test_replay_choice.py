@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
-from handover_ros.bags.definitions import Definition
+from handover_ros.bags.definitions import Definition, Definitions
 from handover_ros.bags.reading import Bag
 from handover_ros.bags.recording import BagWriter
 from handover_ros.bags.replay import (
@@ -17,7 +17,9 @@ from handover_ros.bags.replay import (
     chosen_topics,
     drivable,
     first_used,
+    inputs_of,
     latest_before,
+    other_versions,
     stamp_of,
 )
 from handover_ros.errors import BadRecordingError, UnknownNameError
@@ -123,3 +125,20 @@ def test_what_was_latched_before_the_start_comes_once_and_in_order(tmp_path: Pat
 def test_stamps() -> None:
     assert stamp_of(stamped(12_000_000_034)) == 12_000_000_034
     assert stamp_of(b"short") == 0
+
+
+def test_a_changed_message_matters_only_where_it_is_needed(tmp_path: Path) -> None:
+    installed = Definitions([tmp_path])
+    (tmp_path / "share" / "a" / "msg").mkdir(parents=True)
+    (tmp_path / "share" / "a" / "msg" / "B.msg").write_text("int32 c\nint8 d\n")
+    with Bag(with_topics(tmp_path / "bag", "/x", "/y")) as bag:
+        topics = bag.topics.values()
+        found = other_versions(topics, [], installed, "b")
+        assert set(found) == {"/x", "/y"}
+        assert "field d is not in the bag" in found["/x"]
+        with pytest.raises(BadRecordingError, match="bag b: topic /y: a/msg/B of another version: field d"):
+            other_versions(topics, ["/y"], installed, "b")
+        (tmp_path / "share" / "a" / "msg" / "B.msg").write_text("int32 c # [m]\n")
+        assert other_versions(topics, ["/y"], Definitions([tmp_path]), "b") == {}
+        assert "not installed" in other_versions(topics, [], Definitions([tmp_path / "none"]), "b")["/x"]
+    assert inputs_of(["skeleton_node", "sim_node"]) == set(CLEAN)
