@@ -49,6 +49,7 @@ for name in ("rclpy", "handover_msgs.msg", "handover_msgs.srv", "handover_msgs.a
         answer[name] = [False, f"{type(error).__name__}: {error}"]
 print("IMPORTS" + json.dumps(answer))
 """
+FIRST = "import os; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(10))"
 RENDER = "import mujoco; context = mujoco.GLContext(64, 64); context.make_current(); context.free(); print('drawn')"
 
 
@@ -117,7 +118,7 @@ def examine(setup: Setup, network: bool = False, clean: bool = False) -> list[tu
     if not outstanding & {"venv", "packages"}:
         checks += [(need, need.name != "imports handover_msgs" or not building) for need in _imports(setup)]
     checks += [(_rendering(setup, outstanding), False), (_shared_memory(clean), True), (_leftovers(), False)]
-    checks += [(_middleware(), False), (_recordings(layout.source), False)]
+    checks += [(_middleware(), False), (_priorities(), False), (_recordings(layout.source), False)]
     if network:
         checks.append((_network(), bool(outstanding & {"venv", "packages"})))
     return checks
@@ -192,6 +193,16 @@ def _middleware() -> Need:
     if profile and not Path(profile).is_file():
         return Need("middleware", False, f"no file {profile}", "unset FASTRTPS_DEFAULT_PROFILES_FILE")
     return Need("middleware", True, own or "domain 0, this machine only, config/fastdds.xml")
+
+
+def _priorities() -> Need:
+    """Streams may come first on a busy machine; the graph runs without that."""
+    answer = subprocess.run([sys.executable, "-c", FIRST], capture_output=True, check=False, timeout=60)
+    if answer.returncode == 0:
+        return Need("priorities", True, "streams may come first (SCHED_RR)")
+    user = os.environ.get("USER", "USER")
+    remedy = f"a line '{user} - rtprio 20' in /etc/security/limits.conf, then log in again"
+    return Need("priorities", False, "streams may not come first; states are later on a busy machine", remedy)
 
 
 def _recordings(source: Path) -> Need:
