@@ -147,7 +147,12 @@ def endpoints(node: str) -> tuple[Endpoint, ...]:
         ScanError: A call cannot be understood.
     """
     used = _used(MODULES.get(node, node))
-    wrappers = {name: wrapper for owner, part in used for name, wrapper in _wrappers(module(owner), part).items()}
+    wrappers: dict[str, Wrapper] = {}
+    while True:  # a wrapper may pass on to another one
+        more = {n: w for owner, part in used for n, w in _wrappers(module(owner), part, wrappers).items()}
+        if more == wrappers:
+            break
+        wrappers = more
     found: set[Endpoint] = set()
     for owner, part in used:
         found |= set(_endpoints(module(owner), part, wrappers))
@@ -251,13 +256,21 @@ def _parameters(here: Module, call: ast.AST) -> tuple[ast.FunctionDef | None, li
     return None, []
 
 
-def _wrappers(here: Module, part: str) -> dict[str, Wrapper]:
-    """Return the functions of a definition that pass type and name on to a maker."""
+def _wrappers(here: Module, part: str, known: Mapping[str, Wrapper]) -> dict[str, Wrapper]:
+    """Return the functions of a definition that pass type and name on to a maker, or to a known wrapper."""
     found = {}
     for call, called in _calls(here, part):
-        if called not in MAKERS:
+        if called in MAKERS:
+            kind, type_place, name_place, quality_place = MAKERS[called]
+        elif called in known:
+            inner = known[called]
+            kind, type_place, name_place, quality_place = (
+                inner.kind, inner.type_place, inner.name_place, inner.quality_place
+            )  # fmt: skip
+        else:
             continue
-        kind, type_place, name_place, quality_place = MAKERS[called]
+        if len(call.args) <= max(type_place, name_place, quality_place or 0):
+            continue
         function, parameters = _parameters(here, call)
         words = [ast.unparse(argument) for argument in call.args]
         if function is None or words[type_place] not in parameters or words[name_place] not in parameters:
@@ -275,7 +288,7 @@ def _wrappers(here: Module, part: str) -> dict[str, Wrapper]:
 
 def _endpoints(here: Module, part: str, wrappers: Mapping[str, Wrapper]) -> Iterator[Endpoint]:
     """Yield the endpoints that a definition makes."""
-    own = _wrappers(here, part)
+    own = _wrappers(here, part, wrappers)
     for call, called in _calls(here, part):
         function, parameters = _parameters(here, call)
         if called in MAKERS:
@@ -288,6 +301,8 @@ def _endpoints(here: Module, part: str, wrappers: Mapping[str, Wrapper]) -> Iter
             wrapper = wrappers[called]
             kind, always = wrapper.kind, wrapper.always
             type_place, name_place, quality_place = wrapper.type_place, wrapper.name_place, wrapper.quality_place
+            if len(call.args) > name_place and ast.unparse(call.args[name_place]) in parameters:
+                continue  # a wrapper that passes on to this one
         else:
             continue
         if function is not None and (here.name, function.name) in EVERY_TOPIC and not _is_written_out(call, name_place):

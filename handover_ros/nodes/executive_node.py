@@ -279,6 +279,7 @@ class ExecutiveNode(HandoverNode):
             if run.goal.is_cancel_requested and not run.cancelled:
                 run.cancelled = True
                 run.protocol.cancel()
+            self.view.look()
             for command in run.protocol.step(self.observe(run)):
                 self.carry_out(command, run)
             self.report(run, wall)

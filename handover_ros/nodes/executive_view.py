@@ -16,7 +16,6 @@ from handover_msgs.msg import (
     ObjectStates,
     SkeletonState,
 )
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from handover_ros.cell.safety import Freshness
@@ -27,6 +26,7 @@ from handover_ros.nodes.convert import numpy_array, pose_message, seconds_from_s
 from handover_ros.nodes.convert_belief import fill_choice
 from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, monotonic
+from handover_ros.nodes.streams import Latest
 from handover_ros.objects import load_catalogue
 from handover_ros.preferences.observed import observed_choice
 from handover_ros.robot.model import RobotModel
@@ -59,7 +59,9 @@ class ExecutiveView:
         self.markers: MarkerFrame | None = None
         self.choice: GraspChoice | None = None  # how the person takes what is offered
         self.unread = ""  # why that is not known; empty: it is, or nothing was taken
-        self.hands: list[Subscription] = []
+        self.watching = False
+        self.newest_markers = Latest(node, MarkerFrame, "mocap/markers", SENSOR_CONSUMER)
+        self.newest_state = Latest(node, SkeletonState, "human/skeleton_state", SENSOR_CONSUMER)
         node.create_subscription(JointState, "robot/joint_states", self.on_joint_state, SENSOR_CONSUMER)
         node.create_subscription(GripperState, "robot/gripper_state", self.on_gripper_state, SENSOR_CONSUMER)
         node.create_subscription(ObjectStates, "objects/states", self.on_objects, SENSOR_CONSUMER)
@@ -120,27 +122,23 @@ class ExecutiveView:
         with contextlib.suppress(HandoverError):
             observed_choice(next(iter(self.catalogue.values())), np.eye(4), profile.skeleton, profile.skeleton.middle)
 
-    def on_markers(self, message: MarkerFrame) -> None:
-        """Keep the newest marker frame; it is read when needed."""
-        self.markers = message
-
-    def on_skeleton(self, message: SkeletonState) -> None:
-        """Read from the person's state how they took something, if that is awaited."""
-        if self.unread:
-            self.read_choice(message)
-
     def watch_hands(self, watch: bool) -> None:
-        """Receive the person's streams only while hands matter: at 240 Hz they are most of this node's work."""
-        node = self.node
-        if watch and not self.hands:
-            self.hands = [
-                node.create_subscription(MarkerFrame, "mocap/markers", self.on_markers, SENSOR_CONSUMER),
-                node.create_subscription(SkeletonState, "human/skeleton_state", self.on_skeleton, SENSOR_CONSUMER),
-            ]
-        elif not watch and self.hands:
-            for subscription in self.hands:
-                node.destroy_subscription(subscription)
-            self.hands, self.markers = [], None
+        """Look at the person's streams only while hands matter: at 240 Hz they would be most of this node's work."""
+        if watch and not self.watching:
+            self.newest_markers.take()  # what came before does not count
+            self.newest_state.take()
+        elif not watch:
+            self.markers = None
+        self.watching = watch
+
+    def look(self) -> None:
+        """Take the newest of the person's streams; read how they took something, if that is awaited."""
+        if not self.watching:
+            return
+        if (markers := self.newest_markers.take()) is not None:
+            self.markers = markers
+        if (state := self.newest_state.take()) is not None and self.unread:
+            self.read_choice(state)
 
     def on_marker_set(self, message: MarkerSet) -> None:
         """Find the markers on the hands."""

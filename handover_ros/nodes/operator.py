@@ -66,6 +66,7 @@ class Operator:
         self.node = Node("operator", context=self.context, start_parameter_services=False)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self._clients: dict[str, Any] = {}
         self.states: dict[str, int] = {}
         self.events: list[SimulationEvent] = []
         self.truth: SimulationTruth | None = None
@@ -146,14 +147,13 @@ class Operator:
 
     def call(self, service_type: Any, name: str, request: Any, limit: float = ANSWER_LIMIT) -> Any:
         """Return a service's answer."""
-        client = self.node.create_client(service_type, name)
-        try:
-            self.wait(client.service_is_ready, limit, f"service {name}")
-            future = client.call_async(request)
-            self.wait(future.done, limit, f"the answer of {name}")
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+        client = self._clients.get(name)
+        if client is None:  # kept: each new one has every process of the graph work, and remember
+            client = self._clients[name] = self.node.create_client(service_type, name)
+        self.wait(client.service_is_ready, limit, f"service {name}")
+        future = client.call_async(request)
+        self.wait(future.done, limit, f"the answer of {name}")
+        return future.result()
 
     def _on_executor(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call ``function`` in the executor's thread and return its result.

@@ -27,6 +27,7 @@ from handover_ros.nodes.runtime import (
     Worker,
     main_of,
 )
+from handover_ros.nodes.streams import Latest
 from handover_ros.objects import load_catalogue
 from handover_ros.preferences.strategies import STRATEGIES
 from handover_ros.preferences.warm_up import warm_up_preferences
@@ -98,6 +99,7 @@ class PreferenceNode(HandoverNode):
         self.create_subscription(
             GraspChoice, "handover/grasp_choice", self.on_choice, SENSOR_PUBLISHER, callback_group=group
         )
+        self.states = Latest(self, SkeletonState, "human/skeleton_state", SENSOR_CONSUMER)
         self.menu_client = self.create_client(PlanMenu, "planner/plan_menu", callback_group=group)
         for service, name, work in (
             (AddObservation, "add_observation", self.add_observation),
@@ -236,25 +238,16 @@ class PreferenceNode(HandoverNode):
         return list(found.menu)
 
     async def world_from_torso(self) -> FloatArray:
-        """Return the person's torso frame now; its stream is received only for this, it is most of a node's work.
+        """Return the person's torso frame now; its stream is looked at only for this, it is most of a node's work.
 
         Raises:
             StaleDataError: The person is not seen.
         """
-        seen: list[SkeletonState] = []
-
-        def keep(message: SkeletonState) -> None:
-            if message.valid and not seen:
-                seen.append(message)
-
-        subscription = self.create_subscription(SkeletonState, "human/skeleton_state", keep, SENSOR_CONSUMER)
-        try:
-            for _ in range(round(FIRST_DATA / POLL_PERIOD)):
-                if seen:
-                    return transform_from_message(seen[0].torso.pose, "torso")
-                await self.pause(POLL_PERIOD)
-        finally:
-            self.destroy_subscription(subscription)
+        self.states.take()  # what came before does not count
+        for _ in range(round(FIRST_DATA / POLL_PERIOD)):
+            if (state := self.states.take()) is not None and state.valid:
+                return transform_from_message(state.torso.pose, "torso")
+            await self.pause(POLL_PERIOD)
         raise StaleDataError(
             "the person is not tracked (no valid human/skeleton_state): step into view of the cameras",
             ErrorCode.PERSON_NOT_TRACKED,

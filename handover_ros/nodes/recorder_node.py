@@ -184,6 +184,7 @@ class RecorderNode(HandoverNode):
             "megabytes": self.writer.bytes / 1e6,
             "rate_hz": rate,
             "lost_messages": lost,
+            "lost_of": " ".join(recorded.topic for recorded in self.recorded if recorded.lost),
             "last_problem": self.last_problem,
         }
         return not (self.failure or lost), self.failure or f"{rate:.0f} messages/s, {lost} lost", values

@@ -126,13 +126,13 @@ class SimNode(HandoverNode):
         self.runner = SimulationRunner(simulation, parameters["realtime_factor"], self.after_slice)
         self.due = dict.fromkeys(("state", "objects", "image"), simulation.time)
 
-        self.clock_publisher = self.create_publisher(Clock, "/clock", SENSOR_PUBLISHER)
+        self.clock_publisher = self.create_publisher(Clock, "/clock", STREAM_PUBLISHER)
         self.marker_publisher = self.create_publisher(MarkerFrame, "sim/markers", STREAM_PUBLISHER)
         self.set_publisher = self.create_publisher(MarkerSet, "sim/marker_set", LATCHED)
         self.joint_publisher = self.create_publisher(JointState, "robot/joint_states", STREAM_PUBLISHER)
-        self.gripper_publisher = self.create_publisher(GripperState, "robot/gripper_state", SENSOR_PUBLISHER)
-        self.object_publisher = self.create_publisher(ObjectStates, "objects/states", SENSOR_PUBLISHER)
-        self.truth_publisher = self.create_publisher(SimulationTruth, "sim/truth", SENSOR_PUBLISHER)
+        self.gripper_publisher = self.create_publisher(GripperState, "robot/gripper_state", STREAM_PUBLISHER)
+        self.object_publisher = self.create_publisher(ObjectStates, "objects/states", STREAM_PUBLISHER)
+        self.truth_publisher = self.create_publisher(SimulationTruth, "sim/truth", STREAM_PUBLISHER)
         self.event_publisher = self.create_publisher(SimulationEvent, "sim/events", RECORDER)
         self.image_publisher = self.create_publisher(Image, "sim/image", SENSOR_PUBLISHER)
 

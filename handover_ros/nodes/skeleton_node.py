@@ -131,7 +131,7 @@ class SkeletonNode(HandoverNode):
         self.description_publisher = self.create_publisher(String, "human/robot_description", LATCHED)
         self.description_publisher.publish(String())
         # Deep: to find a lost posture again takes the time of some frames, which are caught up with then.
-        self.stream = StreamReader(self, MarkerFrame, "mocap/markers", self.on_markers, RECORDER)
+        self.stream = StreamReader(self, MarkerFrame, "mocap/markers", self.on_markers, RECORDER, timed=False)
         self.create_subscription(MarkerSet, "mocap/marker_set", self.on_marker_set, LATCHED)
         if not file:
             self.create_subscription(ActiveProfile, "calibration/active_profile", self.on_profile, LATCHED)
@@ -270,6 +270,7 @@ class SkeletonNode(HandoverNode):
         self.residual, self.confidence = estimate.residual_rms, estimate.confidence
         fill_skeleton_state(self.message, estimate)
         self.state_publisher.publish(self.message)
+        self.stream.note_latency()
         if show:
             self.show(frame, estimate.world_from_torso if estimate.valid else None)
 
@@ -283,6 +284,7 @@ class SkeletonNode(HandoverNode):
         self.residual, self.confidence = estimate.residual_rms, estimate.confidence
         fill_person_state(self.message, estimate, torso)
         self.state_publisher.publish(self.message)
+        self.stream.note_latency()
         if estimate.valid:
             self.joint_message.header.frame_id = self.message.header.frame_id
             fill_joint_state(self.joint_message, estimate)

@@ -46,7 +46,7 @@ class StreamReader:
     in the function ends the process as one in any callback does.
 
     Attributes:
-        latencies: From a message's arrival to the end of the work on it.
+        latencies: From a message's arrival to the end of what counts of the work on it.
 
     Args:
         node: Owner of the subscription.
@@ -54,11 +54,19 @@ class StreamReader:
         topic: Topic name.
         callback: Called with each message.
         profile: Quality of service.
+        timed: Whether the end of the callback counts; otherwise it calls ``note_latency`` when what counts is done.
     """
 
     def __init__(
-        self, node: Node, message_type: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile
+        self,
+        node: Node,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: QoSProfile,
+        timed: bool = True,
     ) -> None:
+        self._timed, self._received = timed, 0
         self.lock = threading.Lock()
         self.latencies = Latencies()
         self._node = node
@@ -81,6 +89,10 @@ class StreamReader:
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_guard_condition(self._failed)
 
+    def note_latency(self) -> None:
+        """Note how long ago the message at hand arrived."""
+        self.latencies.note((time.time_ns() - self._received) * 1e-9)
+
     def _raise(self) -> None:
         if self._error is not None:
             raise self._error
@@ -96,15 +108,43 @@ class StreamReader:
                     wait_set.add_subscription(handle)
                     wait_set.wait(WAIT)
                     while (taken := handle.take_message(self._message_type, False)) is not None:
+                        self._received = taken[1]["received_timestamp"]
                         with self.lock:
                             self._callback(taken[0])
-                        self.latencies.note((time.time_ns() - taken[1]["received_timestamp"]) * 1e-9)
+                        if self._timed:
+                            self.note_latency()
                         if self._stop.is_set():
                             return
         except BaseException as error:
             if self._context.ok() and not self._stop.is_set():
                 self._error = error
                 self._failed.trigger()
+
+
+class Latest:
+    """The newest message of a topic, converted only when it is asked for.
+
+    The subscription is always there: to make one when it is needed and destroy it afterwards has every process of the
+    graph work, and remember.
+
+    Args:
+        node: Owner of the subscription.
+        message_type: Type of the messages.
+        topic: Topic name.
+        profile: Quality of service.
+    """
+
+    def __init__(self, node: Node, message_type: type, topic: str, profile: QoSProfile) -> None:
+        self._message_type = message_type
+        self._subscription = node.create_subscription(message_type, topic, print, profile, callback_group=OwnThread())
+
+    def take(self) -> Any:
+        """Return the newest message that came since the last call, None when none did."""
+        newest, handle = None, self._subscription.handle
+        with handle:
+            while (taken := handle.take_message(self._message_type, True)) is not None:
+                newest = taken[0]
+        return None if newest is None else deserialize_message(newest, self._message_type)
 
 
 class NewestReader:
@@ -119,22 +159,14 @@ class NewestReader:
 
     def __init__(self, node: Node, period: float) -> None:
         self._node = node
-        self._read: list[tuple[Any, type, Callable[[Any], None]]] = []
+        self._read: list[tuple[Latest, Callable[[Any], None]]] = []
         node.create_timer(period, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def newest_of(self, message_type: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> None:
         """Call ``callback`` from the executor with the newest message of a topic, if there is a new one."""
-        subscription = self._node.create_subscription(
-            message_type, topic, callback, profile, callback_group=OwnThread()
-        )
-        self._read.append((subscription, message_type, callback))
+        self._read.append((Latest(self._node, message_type, topic, profile), callback))
 
     def _look(self) -> None:
-        for subscription, message_type, callback in self._read:
-            newest = None
-            handle = subscription.handle
-            with handle:
-                while (taken := handle.take_message(message_type, True)) is not None:
-                    newest = taken[0]
-            if newest is not None:
-                callback(deserialize_message(newest, message_type))
+        for latest, callback in self._read:
+            if (message := latest.take()) is not None:
+                callback(message)
