@@ -28,7 +28,7 @@ from handover_ros.nodes.convert_profile import profile_from_message
 from handover_ros.nodes.runtime import LATCHED, SENSOR_CONSUMER, HandoverNode, monotonic
 from handover_ros.nodes.streams import Latest
 from handover_ros.objects import load_catalogue
-from handover_ros.preferences.observed import observed_choice
+from handover_ros.preferences.observed import observed_choice, rehearse_choice
 from handover_ros.robot.model import RobotModel
 from handover_ros.skeleton.profile import Profile
 
@@ -120,7 +120,7 @@ class ExecutiveView:
     def _load(self, profile: Profile) -> None:
         """Load what reads a choice before it is needed: at the first time that takes a second, and the robot moves."""
         with contextlib.suppress(HandoverError):
-            observed_choice(next(iter(self.catalogue.values())), np.eye(4), profile.skeleton, profile.skeleton.middle)
+            rehearse_choice(next(iter(self.catalogue.values())), profile.skeleton)
 
     def watch_hands(self, watch: bool) -> None:
         """Look at the person's streams only while hands matter: at 240 Hz they would be most of this node's work."""

@@ -82,6 +82,19 @@ def observed_choice(
     return ObservedChoice(side, region, distance, object_from_hand, arm_posture(arm, skeleton, theta), known)
 
 
+def rehearse_choice(model: ObjectModel, skeleton: Skeleton) -> ObservedChoice:
+    """Return the choice of a person who holds an object in the middle of all joint limits: all is loaded then.
+
+    Raises:
+        BadModelError: The skeleton has no hands.
+    """
+    frames = hand_frames(skeleton)
+    side = next(each for each in SIDES if each in frames)
+    torso_from_hand = relative_pose(skeleton, skeleton.middle, WORLD_FRAME, frames[side].frame)
+    grip = model.human_grasps[0].centre() @ (HALF_TURN if side == "left" else np.eye(4))
+    return observed_choice(model, torso_from_hand @ invert_transform(grip), skeleton, skeleton.middle)
+
+
 def nearest_region(model: ObjectModel, side: Side, object_from_hand: FloatArray) -> tuple[str, float]:
     """Return the grasp region nearest to a hand, and its distance [m], turn included."""
     hand = object_from_hand @ HALF_TURN if side == "left" else object_from_hand

@@ -7,7 +7,7 @@ from handover_ros.arm.model import JOINT_NAMES, arm_of
 from handover_ros.errors import BadRequestError
 from handover_ros.geometry import transform_from_xyz_rpy
 from handover_ros.objects.catalogue import load_object
-from handover_ros.preferences.observed import nearest_region, observed_choice
+from handover_ros.preferences.observed import nearest_region, observed_choice, rehearse_choice
 from handover_ros.preferences.offered import hand_grasps, offered_query
 from handover_ros.preferences.query import posture_answer
 from handover_ros.sim.person_skeleton import skeleton_of
@@ -80,3 +80,12 @@ def test_the_middle_of_a_region_is_nearest_to_it(side):
     for region in model.human_grasps:
         turn = np.eye(4) if side == "right" else np.diag([-1.0, -1.0, 1.0, 1.0])
         assert nearest_region(model, side, region.centre() @ turn) == (region.name, pytest.approx(0.0, abs=1e-6))
+
+
+@pytest.mark.parametrize("name", ["mug", "pitcher", "box"])
+def test_a_rehearsed_choice_goes_all_the_way(name):
+    """It is what loads everything beforehand, so it must not be refused on the way."""
+    model = load_object(name)
+    seen = rehearse_choice(model, skeleton_of(load_person("adult")))
+    assert seen.region == model.human_grasps[0].name
+    assert seen.distance < 1e-6
