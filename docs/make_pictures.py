@@ -24,9 +24,9 @@ def run(folder: str, *arguments: str) -> list[Path]:
 
 
 def timeline() -> None:
-    """Run a session with a calibration, two handovers and learning, and keep its timeline."""
+    """Run a session with a calibration and two handovers, and keep its timeline."""
     with tempfile.TemporaryDirectory() as folder:
-        run(folder, "demo", "--handovers", "2", "--learn", "active_value", "--no-pictures", "--seed", "1")
+        run(folder, "demo", "--handovers", "2", "--calibrate", "--no-pictures", "--seed", "1")
         with tempfile.TemporaryDirectory() as drawn:
             files = run(drawn, "bag", "info", folder)
             shutil.copyfile(next(file for file in files if file.suffix == ".png"), PICTURES / "timeline.png")
