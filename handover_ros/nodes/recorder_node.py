@@ -13,6 +13,7 @@ from rclpy.subscription import Subscription
 
 from handover_ros.bags.definitions import Definition, Definitions
 from handover_ros.bags.recording import STORAGES, BagWriter
+from handover_ros.bags.replay import CLOCK
 from handover_ros.errors import BadRequestError, UnknownNameError
 from handover_ros.nodes.bag_qos import message_class, noted_profile, recorder_profile
 from handover_ros.nodes.parameters import ParameterSpec
@@ -107,11 +108,11 @@ class RecorderNode(HandoverNode):
                     self.begin(topic, type_name, publishers)
 
     def wants(self, topic: str) -> bool:
-        """Return whether a topic is to be recorded; hidden ones only when they are named."""
+        """Return whether a topic is to be recorded; hidden ones only when they are named, a clock always."""
         if any(pattern.fullmatch(topic) for pattern in self.unwanted):
             return False
         if self.wanted:
-            return any(pattern.fullmatch(topic) for pattern in self.wanted)
+            return topic == CLOCK or any(pattern.fullmatch(topic) for pattern in self.wanted)
         return "/_" not in topic
 
     def begin(self, topic: str, type_name: str, publishers: list[Any]) -> None:
