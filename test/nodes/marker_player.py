@@ -59,6 +59,11 @@ class MarkerPlayer:
             marker_set_message("upper_body_24", chosen, segments, rate or self.rate, "world", self.version)
         )
 
+    @property
+    def listeners(self) -> int:
+        """How many subscriptions get the frames."""
+        return self._frames.get_subscription_count()
+
     def start(self) -> MarkerPlayer:
         """Begin to play."""
         self._thread.start()

@@ -104,7 +104,7 @@ def test_a_session_is_recorded_without_loss_and_replayed_bit_for_bit(graph: Grap
     choices = graph.node.create_publisher(GraspChoice, "handover/grasp_choice", SENSOR_PUBLISHER)
     player = MarkerPlayer(graph, NAMES, SEGMENTS, calibration_motion(SKELETON, FRAMES, RATE).measured, RATE)
     try:
-        wait_for(lambda: graph.node.count_subscribers("mocap/markers") == 2, SETTLED, "recorder and tracker")
+        wait_for(lambda: player.listeners == 2, SETTLED, "recorder and tracker")
         wait_for(lambda: beliefs, SETTLED, "a belief")
         player.start()
         wait_for(lambda: states and states[-1].valid, SETTLED, "the torso to be tracked")
@@ -174,7 +174,7 @@ def test_a_killed_recorder_loses_less_than_the_last_second(graph: Graph, tmp_pat
     process = recorder(graph, tmp_path / "bag", storage=storage)
     player = MarkerPlayer(graph, NAMES, SEGMENTS, np.zeros((10, len(NAMES), 3)), RATE)
     try:
-        wait_for(lambda: graph.node.count_subscribers("mocap/markers") == 1, FIRST_CONTACT, "the recorder to hear")
+        wait_for(lambda: player.listeners == 1, FIRST_CONTACT, "the recorder to hear")
         player.start()
         wait_for(lambda: player.sent > 3 * RATE, ANSWER, "three seconds of markers")
         killed = time.time()
