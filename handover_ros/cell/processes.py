@@ -165,7 +165,11 @@ def check_alive(processes: CellProcesses) -> None:
 
 
 def end_with_parent() -> None:
-    """Have the kernel interrupt this process when its parent dies, however it dies."""
+    """Have the kernel interrupt this process when its parent dies, however it dies.
+
+    A background job of a script ignores interrupts, and so would what it starts.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
 
 
