@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -59,8 +59,10 @@ from handover_ros.nodes.runtime import (
     main_of,
     monotonic,
 )
+from handover_ros.nodes.scheduling import PRIORITY, come_first
 from handover_ros.robot.model import RobotModel
 
+RESULT_TIMEOUT = 60  # [s] for which the result of a handover can be asked for
 RATE = 50.0  # [Hz] of wall time at which the protocol is stepped
 ENABLE_PERIOD = 0.1  # [s] of wall time between two signs of life to the robot
 FEEDBACK_PERIOD = 0.2  # [s] of wall time
@@ -90,6 +92,7 @@ PARAMETERS = (
         "nodes whose silence ends a handover (sim_node: the robot's driver)",
     ),
     ParameterSpec("lost_after", 1.5, "[s] of wall time without a heartbeat after which a node is lost", 0.5, 10.0),
+    replace(PRIORITY, default=5),  # below the streams
 )
 
 
@@ -150,7 +153,9 @@ class ExecutiveNode(HandoverNode):
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=awaiting,
+            result_timeout=RESULT_TIMEOUT,
         )
+        self.scheduling = come_first(self.parameters["realtime_priority"])
         self.ready("ready for handovers")
 
     # What is observed
@@ -434,6 +439,7 @@ class ExecutiveNode(HandoverNode):
                 "handovers": self.handovers,
                 "taken": self.taken,
                 "pull_N": self.view.pull.pull,
+                "scheduling": self.scheduling,
                 "joint_state_age_s": self.view.robot_state.age(monotonic()),
             },
         )

@@ -1,4 +1,4 @@
-"""Who comes first on a busy machine: streams before plans."""
+"""Who comes first on a busy machine: streams and the control of the robot before plans."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NICE = -10
 PRIORITY = ParameterSpec(
     "realtime_priority",
     10,
-    "of the stream's threads with the kernel (SCHED_RR), if the user may set it; 0: like any process",
+    "with the kernel (SCHED_RR) of all but long work, if the user may set it; 0: like any process",
     0,
     99,
 )
