@@ -82,20 +82,22 @@ class Operator:
         node.create_subscription(SkeletonState, "human/skeleton_state", self._on_skeleton, SENSOR_CONSUMER)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, SENSOR_PUBLISHER)
         self.handover_client = ActionClient(node, ExecuteHandover, "handover/execute")
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True, name="operator")
         self._thread.start()
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            while self.context.ok():
+            while self.context.ok() and not self._stop.is_set():
                 self.executor.spin_once(timeout_sec=0.5)
 
     def close(self) -> None:
-        """Leave the graph."""
-        self.context.try_shutdown()
+        """Leave the graph; the context last, since shutting it down under a running executor can hang."""
+        self._stop.set()
         self._thread.join(timeout=3.0)
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
+        self.context.try_shutdown()
 
     def _on_event(self, message: SimulationEvent) -> None:
         self.events.append(message)

@@ -82,6 +82,7 @@ class Watcher:
         self.node.create_subscription(Heartbeat, "cell/heartbeat", self._on_heartbeat, SENSOR_PUBLISHER)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True, name="replay")
         self._thread.start()
 
@@ -90,7 +91,7 @@ class Watcher:
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            while self.context.ok():
+            while self.context.ok() and not self._stop.is_set():
                 self._executor.spin_once(timeout_sec=0.5)
 
     def up(self, nodes: tuple[str, ...]) -> bool:
@@ -115,11 +116,12 @@ class Watcher:
             )
 
     def close(self) -> None:
-        """Leave the graph."""
-        self.context.try_shutdown()
+        """Leave the graph; the context last, since shutting it down under a running executor can hang."""
+        self._stop.set()
         self._thread.join(timeout=3.0)
         self._executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
+        self.context.try_shutdown()
 
 
 @contextlib.contextmanager

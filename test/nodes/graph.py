@@ -109,12 +109,13 @@ class Graph:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[NodeProcess] = []
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            while self.context.ok():
+            while self.context.ok() and not self._stop.is_set():
                 self.executor.spin_once(timeout_sec=0.1)
 
     def start(self, node: str, parameter_file: Path | None = None, **parameters: Any) -> NodeProcess:
@@ -162,10 +163,12 @@ class Graph:
                     failures.append(f"{process.name} ended with {process.process.returncode}:\n{process.text()}")
             except AssertionError as error:
                 failures.append(str(error))
-        self.context.try_shutdown()
+        # The context last: to shut it down under a running executor has been seen to hang for ever.
+        self._stop.set()
         self._thread.join(timeout=5.0)
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
+        self.context.try_shutdown()
         assert not failures, "\n".join(failures)
 
 
