@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +15,7 @@ from rclpy.subscription import Subscription
 from handover_ros.bags.definitions import Definition, Definitions
 from handover_ros.bags.recording import STORAGES, BagWriter
 from handover_ros.bags.replay import CLOCK
-from handover_ros.errors import BadRequestError, UnknownNameError
+from handover_ros.errors import BadRequestError, HandoverError, UnknownNameError
 from handover_ros.nodes.bag_qos import message_class, noted_profile, recorder_profile
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import HandoverNode, main_of, monotonic
@@ -59,7 +60,7 @@ class RecorderNode(HandoverNode):
         self.wanted = patterns("topics", self.parameters["topics"])
         self.unwanted = patterns("exclude", self.parameters["exclude"])
         self.definitions = Definitions()
-        self.writer = BagWriter(folder, self.parameters["storage"])
+        self.folder = folder
         self.flush_period = self.parameters["flush_period"]
         self.seen: set[tuple[str, str]] = set()
         self.fresh: list[tuple[Recorded, Definition, list[Any]]] = []
@@ -68,10 +69,12 @@ class RecorderNode(HandoverNode):
         self.stop_recording = threading.Event()
         self.failure = ""
         self.counted, self.counted_at = 0, monotonic()
+        opened: Future[BagWriter] = Future()
+        self.thread = threading.Thread(target=self.record, args=[opened], name="recorder", daemon=True)
+        self.thread.start()
+        self.writer = opened.result()
         self.create_timer(LOOK_PERIOD, self.look, clock=self.steady_clock)
         self.look()
-        self.thread = threading.Thread(target=self.record, name="recorder", daemon=True)
-        self.thread.start()
         self.ready(f"recording to {folder}")
 
     def on_stop(self) -> None:
@@ -132,29 +135,38 @@ class RecorderNode(HandoverNode):
 
     # The recorder's thread
 
-    def record(self) -> None:
-        """Write what comes until the node stops; a full disk ends the recording, not the node."""
+    def record(self, opened: Future[BagWriter]) -> None:
+        """Write what comes until the node stops; a full disk ends the recording, not the node.
+
+        The bag is opened here, since SQLite wants to be used by one thread only.
+        """
+        try:
+            writer = BagWriter(self.folder, self.parameters["storage"])
+        except HandoverError as error:
+            opened.set_exception(error)
+            return
+        opened.set_result(writer)
         flushed = monotonic()
         try:
             while not self.stop_recording.wait(TAKE_PERIOD):
-                self.take_all()
+                self.take_all(writer)
                 if monotonic() - flushed >= self.flush_period:
-                    self.writer.flush()
+                    writer.flush()
                     flushed = monotonic()
-            self.take_all()
-            self.writer.close()
-        except OSError as error:
-            self.failure = f"recording ended: {error.strerror or error} ({self.writer.path})"
+            self.take_all(writer)
+            writer.close()
+        except Exception as error:  # whatever the storage raises: the cell goes on, and everybody is told
+            self.failure = f"recording ended: {getattr(error, 'strerror', None) or error} ({writer.path})"
             self.last_problem = self.failure
             self.degraded(self.failure)
             self.get_logger().error(self.failure)
 
-    def take_all(self) -> None:
+    def take_all(self, writer: BagWriter) -> None:
         """Write all that has come, topic by topic; the times of reception are those of the middleware."""
         with self.lock:
             fresh, self.fresh = self.fresh, []
         for recorded, definition, profiles in fresh:
-            self.writer.add(recorded.topic, recorded.type_name, definition, profiles)
+            writer.add(recorded.topic, recorded.type_name, definition, profiles)
             self.recorded.append(recorded)
         for recorded in self.recorded:
             handle = recorded.subscription.handle
@@ -162,7 +174,7 @@ class RecorderNode(HandoverNode):
                 while (taken := handle.take_message(recorded.message_type, True)) is not None:
                     data, about = taken
                     self.count(recorded, about["publication_sequence_number"])
-                    self.writer.write(recorded.topic, recorded.type_name, about["received_timestamp"], data)
+                    writer.write(recorded.topic, recorded.type_name, about["received_timestamp"], data)
 
     def count(self, recorded: Recorded, number: int | None) -> None:
         """Count what was lost between the last message of a topic and this one, if one publisher numbers them."""

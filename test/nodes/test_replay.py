@@ -141,7 +141,7 @@ def test_a_session_is_recorded_without_loss_and_replayed_bit_for_bit(graph: Grap
         done = replay(other.domain, bag, "--speed", 1.5, "--out", tmp_path / "replayed", "--json", result)
     assert done.returncode == 0, done.stderr
     metrics = json.loads(result.read_text())["metrics"]
-    assert metrics["states_compared"] > 4 * RATE
+    assert metrics["states_compared"] > 3 * RATE, "some seconds of motion, and what came before"
     assert metrics["states_missing"] == 0
     assert metrics["states_identical"] == metrics["states_compared"], done.stdout
     assert metrics["beliefs_compared"] == metrics["beliefs_identical"] == 2, done.stdout
@@ -152,11 +152,12 @@ def test_a_session_is_recorded_without_loss_and_replayed_bit_for_bit(graph: Grap
         arguments = ("--start", started, "--node", "skeleton_node", "--out", tmp_path / "middle", "--json", result)
         done = replay(other.domain, bag, *arguments)
     assert done.returncode == 0, done.stderr
-    metrics = json.loads(result.read_text())["metrics"]
-    assert metrics["states_unlike"] == 0, done.stdout
     ours, theirs = displacements(bag), displacements(tmp_path / "middle")
-    last = max(theirs)
-    np.testing.assert_allclose(theirs[last], ours[last], atol=1e-6, err_msg="the beginning is forgotten")
+    for seconds, agreement in ((1.0, 0.01), (1.8, 1e-3)):  # [s] after the start, [rad]: the beginning is forgotten
+        late = [stamp for stamp in theirs if stamp > min(theirs) + seconds * 1e9]
+        assert late
+        apart = [np.abs(theirs[stamp] - ours[stamp]).max() for stamp in late]
+        assert max(apart) < agreement, seconds
 
 
 def displacements(path: Path) -> dict[int, np.ndarray]:
