@@ -237,6 +237,8 @@ class ExecutiveNode(HandoverNode):
         self.view.begin_feeling()
         self.stopped_until = float("-inf")
         self.run = run
+        # At once, and not at the next turn: the robot must have it well before the first trajectory.
+        self.enable(True)
         try:
             await run.done
         finally:
