@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from handover_ros.bags.definitions import Definitions, difference
 from handover_ros.bags.reading import Bag, Topic
-from handover_ros.errors import BadRecordingError, UnknownNameError
+from handover_ros.errors import BadRecordingError, BadRequestError, UnknownNameError
 
 CLOCK = "/clock"
 #: What a replay gives the nodes that can be driven by one; the rest of the graph acts and does not only look.
@@ -100,6 +100,25 @@ def other_versions(
             )
         if change:
             found[topic.name] = f"{topic.type_name} of another version: {change}"
+    return found
+
+
+def topic_patterns(source: str, text: str) -> list[re.Pattern[str]]:
+    """Return patterns of whole topic names; names may lack the ``/`` at their beginning.
+
+    Args:
+        source: Option or parameter they come from, for the message.
+        text: Names or regular expressions, space between.
+
+    Raises:
+        BadRequestError: One is no regular expression.
+    """
+    found = []
+    for word in text.split():
+        try:
+            found.append(re.compile(word if word[0] in "/(.[\\" else f"/{word}"))
+        except re.error as error:
+            raise BadRequestError(f"{source}: {word!r} is no pattern of topic names: {error}") from None
     return found
 
 

@@ -10,11 +10,10 @@ from pathlib import Path
 from handover_msgs.msg import Heartbeat
 
 from handover_ros.bags.reading import Bag
-from handover_ros.bags.replay import INPUTS, inputs_of
+from handover_ros.bags.replay import INPUTS, inputs_of, topic_patterns
 from handover_ros.errors import BadRequestError, HandoverError, StaleDataError
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.player import Player, Selection
-from handover_ros.nodes.recorder_node import patterns
 from handover_ros.nodes.runtime import EXIT_BAD_INPUT, SENSOR_PUBLISHER, HandoverNode, main_of, monotonic
 
 NODES_LIMIT = 120.0  # [s] of wall time until the nodes must be there: kernels may have to be compiled
@@ -44,8 +43,8 @@ class PlayerNode(HandoverNode):
             parameters["speed"],
             parameters["start"],
             parameters["duration"],
-            patterns("topics", parameters["topics"]),
-            patterns("exclude", parameters["exclude"]),
+            topic_patterns("topics", parameters["topics"]),
+            topic_patterns("exclude", parameters["exclude"]),
         )
         nodes = parameters["nodes"].split() or tuple(INPUTS)
         self.player = Player(self, self.bag, selection, inputs_of(nodes))

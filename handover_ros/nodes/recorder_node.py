@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -14,8 +13,8 @@ from rclpy.subscription import Subscription
 
 from handover_ros.bags.definitions import Definition, Definitions
 from handover_ros.bags.recording import STORAGES, BagWriter
-from handover_ros.bags.replay import CLOCK
-from handover_ros.errors import BadRequestError, HandoverError, UnknownNameError
+from handover_ros.bags.replay import CLOCK, topic_patterns
+from handover_ros.errors import HandoverError, UnknownNameError
 from handover_ros.nodes.bag_qos import message_class, noted_profile, recorder_profile
 from handover_ros.nodes.parameters import ParameterSpec
 from handover_ros.nodes.runtime import HandoverNode, main_of, monotonic
@@ -57,8 +56,8 @@ class RecorderNode(HandoverNode):
         super().__init__("recorder_node", PARAMETERS)
         given = self.parameters["bag"]
         folder = Path(given).expanduser() if given else Path("handover_out") / f"bag-{datetime.now():%Y%m%d-%H%M%S}"
-        self.wanted = patterns("topics", self.parameters["topics"])
-        self.unwanted = patterns("exclude", self.parameters["exclude"])
+        self.wanted = topic_patterns("topics", self.parameters["topics"])
+        self.unwanted = topic_patterns("exclude", self.parameters["exclude"])
         self.definitions = Definitions()
         self.folder = folder
         self.flush_period = self.parameters["flush_period"]
@@ -201,21 +200,6 @@ class RecorderNode(HandoverNode):
             "last_problem": self.last_problem,
         }
         return not (self.failure or lost), self.failure or f"{rate:.0f} messages/s, {lost} lost", values
-
-
-def patterns(parameter: str, text: str) -> list[re.Pattern[str]]:
-    """Return the patterns of a parameter; names may lack the ``/`` at their beginning.
-
-    Raises:
-        BadRequestError: One is no regular expression.
-    """
-    found = []
-    for word in text.split():
-        try:
-            found.append(re.compile(word if word[0] in "/(.[\\" else f"/{word}"))
-        except re.error as error:
-            raise BadRequestError(f"recorder_node: parameter {parameter}: {word!r} is no pattern: {error}") from None
-    return found
 
 
 main = main_of(RecorderNode)

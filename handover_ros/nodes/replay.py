@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 
 from handover_ros.bags.reading import BAG, Bag
-from handover_ros.bags.replay import INPUTS, check_inputs, drivable, inputs_of, stamp_of
+from handover_ros.bags.replay import INPUTS, check_inputs, drivable, inputs_of, stamp_of, topic_patterns
 from handover_ros.bags.sameness import BELIEFS, STATES, Sameness, compare_beliefs, compare_states
 from handover_ros.cell.late_progress import LateProgress
 from handover_ros.cell.processes import EXTRA_NODES, NODES, CellProcesses, NodeLaunch, check_alive
@@ -28,7 +28,6 @@ from handover_ros.cell.session import PARAMETERS, START
 from handover_ros.errors import BadRecordingError, BadRequestError, StaleDataError
 from handover_ros.nodes.operator import InterruptedByOperatorError
 from handover_ros.nodes.player import Player, Selection
-from handover_ros.nodes.recorder_node import patterns
 from handover_ros.nodes.runtime import SENSOR_PUBLISHER
 from handover_ros.resources import config_directory
 
@@ -168,8 +167,8 @@ def run_replay(request: ReplayRequest, console: Console, stop: threading.Event) 
         request.speed,
         request.start,
         request.duration,
-        patterns("topics", " ".join(request.topics)),
-        patterns("exclude", " ".join(request.exclude)),
+        topic_patterns("--topic", " ".join(request.topics)),
+        topic_patterns("--exclude", " ".join(request.exclude)),
     )
     with Bag(request.bag) as bag:
         if bag.note:
