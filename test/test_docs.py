@@ -146,6 +146,7 @@ def test_scan_refuses_what_it_cannot_understand(monkeypatch, tmp_path):
         "from std_msgs.msg import Bool\nclass OddNode:\n    def __init__(self):\n"
         "        self.create_publisher(Bool, self.name + '/x', LATCHED)\n"
     )
+    graph_scan.qualities()  # read from the real folder, and remembered
     monkeypatch.setattr(graph_scan, "FOLDER", tmp_path)
     monkeypatch.setattr(graph_scan, "REPOSITORY", tmp_path)
     with pytest.raises(graph_scan.ScanError, match=r"odd_node\.py:4: the name self\.name"):
